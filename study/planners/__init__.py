@@ -1,0 +1,1 @@
+"""Milling planners: modified and unmodified simulation, fitness, strategies, the `Plan`."""
