@@ -1,0 +1,76 @@
+"""What a run of the pipeline needs before its first notebook: a profile and compiled kernels.
+
+``python -m study.prepare`` is the first stage of ``dvc.yaml`` and always runs. It writes two small files
+that every other stage depends on, so that another profile, another Python or another numba reruns the
+stages and nothing else does.
+"""
+
+from __future__ import annotations
+
+import os
+import platform
+import sys
+
+import numba
+import numpy as np
+import yaml
+
+from study.errors import InputError, StudyError
+from study.files import written_whole
+from study.paths import PROJECT, output_folder
+from study.planners.modified import modified_volume
+from study.volumes import LabelVolume
+
+#: Names the profile of ``params.yaml`` that the pipeline runs in; ``quick`` when it is not set.
+PROFILE_VARIABLE = "STUDY_PROFILE"
+
+
+def chosen_profile() -> str:
+    """Return the profile that the environment asks for.
+
+    Raises
+    ------
+    InputError
+        If ``params.yaml`` has no such profile.
+    """
+    profile = os.environ.get(PROFILE_VARIABLE) or "quick"
+    profiles = yaml.safe_load((PROJECT / "params.yaml").read_text(encoding="utf-8"))
+    if profile not in profiles:
+        raise InputError(f"{PROFILE_VARIABLE}={profile}: expected one of {', '.join(profiles)}")
+    return profile
+
+
+def tiny_volume() -> LabelVolume:
+    """Return a block of bone with a target at its top, as small as a 5 mm burr allows."""
+    labels = np.zeros((16, 16, 16), np.uint8)
+    labels[:, :, :10] = 1
+    labels[4:12, 4:12, 4:10] = 2
+    return LabelVolume(labels, np.diag([1.0, 1.0, 1.0, 1.0]), {"air": 0, "protected": 1, "target": 2})
+
+
+def warm() -> None:
+    """Compile every kernel once.
+
+    Processes that fill numba's cache at the same time can break it, so this comes before any worker.
+    """
+    modified_volume(tiny_volume(), burr_radius=2.5)
+
+
+def main() -> int:
+    """Run ``python -m study.prepare``."""
+    try:
+        profile = chosen_profile()
+        warm()
+    except StudyError as error:
+        print(f"python -m study.prepare: {error}", file=sys.stderr)
+        return 2
+    figures = output_folder()
+    versions = f"Python {platform.python_version()}, numba {numba.__version__}, {platform.machine()}"
+    for name, content in (("profile.txt", profile), ("kernels.txt", versions)):
+        with written_whole(figures / name) as path:
+            path.write_text(content + "\n", encoding="utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,305 @@
+"""The pipeline, the manifest and the notebooks say the same, and the batch runner says no when it should."""
+
+import ast
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import nbformat
+import pytest
+import yaml
+
+from study.batch import checked_parameters, declared_parameters, main, profile_parameters, run_notebook
+from study.errors import FileFormatError, InputError
+from study.manifest import read_manifest
+from study.paths import PROJECT
+from study.prepare import chosen_profile
+
+NOTEBOOKS = sorted((PROJECT / "notebooks").glob("*.ipynb"))
+STAGES = yaml.safe_load((PROJECT / "dvc.yaml").read_text(encoding="utf-8"))["stages"]
+PROFILES = yaml.safe_load((PROJECT / "params.yaml").read_text(encoding="utf-8"))
+MANIFEST = read_manifest()
+NOTEBOOK_STAGES = {name: stage for name, stage in STAGES.items() if name != "prepare"}
+each_notebook = pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+each_stage = pytest.mark.parametrize("name", NOTEBOOK_STAGES)
+
+
+def outputs(stage):
+    """Names of a stage's outputs below figures/, and the settings of each."""
+    return {Path(path).name: options for out in stage["outs"] for path, options in out.items()}
+
+
+def notebook_of(stage):
+    (notebook,) = [
+        word for word in stage["cmd"].split() if word.endswith(".ipynb") and "executed" not in word
+    ]
+    return notebook
+
+
+# The manifest
+
+
+@pytest.mark.parametrize("row", list(MANIFEST.itertuples()), ids=lambda row: row.item)
+def test_item_is_regenerated_if_the_manifest_says_so(row):
+    made = {name: notebook_of(stage) for stage in NOTEBOOK_STAGES.values() for name in outputs(stage)}
+    if row.status == "here":
+        assert row.outputs, f"{row.item} is here but names no output"
+        assert (PROJECT / "notebooks" / row.notebook).is_file()
+        for name in row.outputs:
+            assert made.get(name) == f"notebooks/{row.notebook}", f"no stage of {row.notebook} makes {name}"
+    else:
+        assert row.outputs == [] and row.notebook == ""
+
+
+@pytest.mark.skipif(not NOTEBOOKS, reason="no notebook yet")
+def test_manifest_lists_every_table_and_figure_of_chapter_2_and_every_printed_table():
+    expected = {f"Table 2.{k}" for k in range(1, 4)} | {f"Figure 2.{k}" for k in range(1, 22)}
+    expected |= {f"Table A.{k}" for k in range(1, 5)} | {f"Table B.{k}" for k in range(1, 10)}
+    expected |= {"Table 3.2", "Table 4.2", "Baron 1"}
+    assert expected <= set(MANIFEST["item"])
+
+
+def test_every_notebook_and_output_is_in_the_manifest():
+    listed = {name for names in MANIFEST["outputs"] for name in names}
+    made = {name for stage in NOTEBOOK_STAGES.values() for name in outputs(stage)}
+    assert made == listed
+    assert {path.name for path in NOTEBOOKS} == set(MANIFEST["notebook"]) - {""}
+
+
+# The notebooks as committed
+
+
+@each_notebook
+def test_notebook_is_committed_without_outputs(path):
+    node = nbformat.read(path, as_version=nbformat.NO_CONVERT)
+    nbformat.validate(node)
+    assert (node.nbformat, node.nbformat_minor) == (4, 5)
+    assert node.metadata.kernelspec.name == "python3"
+    ids = [cell.id for cell in node.cells]
+    assert len(set(ids)) == len(ids)
+    for cell in node.cells:
+        if cell.cell_type == "code":
+            assert cell.outputs == [] and cell.execution_count is None
+
+
+@each_notebook
+def test_notebook_starts_with_its_parameters_and_can_write_elsewhere(path):
+    node = nbformat.read(path, as_version=4)
+    first = next(cell for cell in node.cells if cell.cell_type == "code")
+    assert "parameters" in first.metadata.get("tags", [])
+    assert declared_parameters(node)["output_dir"] == ""
+
+
+@each_notebook
+def test_notebook_holds_no_algorithm(path):
+    """A function or a loop of more than a few lines belongs to the package, where it is tested."""
+    node = nbformat.read(path, as_version=4)
+    for cell in node.cells:
+        if cell.cell_type == "code":
+            for item in ast.walk(ast.parse(cell.source)):
+                assert not isinstance(item, ast.ClassDef | ast.While), cell.source
+                if isinstance(item, ast.FunctionDef | ast.For):
+                    assert item.end_lineno - item.lineno < 12, cell.source
+
+
+# The pipeline
+
+
+def test_the_first_stage_names_the_profile_and_always_runs():
+    assert STAGES["prepare"]["always_changed"]
+    assert set(outputs(STAGES["prepare"])) == {"profile.txt", "kernels.txt"}
+
+
+@each_stage
+def test_stage_depends_on_all_it_reads_and_keeps_nothing_in_a_cache(name):
+    stage = NOTEBOOK_STAGES[name]
+    stem = Path(notebook_of(stage)).stem
+    assert {notebook_of(stage), "study", "data", "figures/profile.txt", "figures/kernels.txt"} <= set(
+        stage["deps"]
+    )
+    assert set(stage["params"]) == {f"quick.{stem}", f"full.{stem}"}
+    assert f"--output figures/executed/{name}.ipynb" in stage["cmd"]
+    for output, options in outputs(stage).items():
+        assert options["cache"] is False
+        assert Path(output).suffix in {".csv", ".json", ".png"}
+
+
+def test_no_two_stages_share_an_output():
+    names = [name for stage in STAGES.values() for name in outputs(stage)]
+    assert len(names) == len(set(names))
+
+
+@each_notebook
+@pytest.mark.parametrize("profile", ["quick", "full", "test"])
+def test_profile_gives_only_parameters_that_the_notebook_has(path, profile):
+    assert path.stem in PROFILES[profile], f"{profile} says nothing about {path.stem}, not even {{}}"
+    declared = declared_parameters(nbformat.read(path, as_version=4), path.name)
+    checked_parameters(declared, profile_parameters(path.stem, profile), path.name)
+
+
+def test_profile_without_its_notebook_is_an_error():
+    for profile, notebooks in PROFILES.items():
+        assert set(notebooks) <= {path.stem for path in NOTEBOOKS}, profile
+
+
+def test_profile_comes_from_the_environment(monkeypatch):
+    monkeypatch.delenv("STUDY_PROFILE", raising=False)
+    assert chosen_profile() == "quick"
+    monkeypatch.setenv("STUDY_PROFILE", "full")
+    assert chosen_profile() == "full"
+    monkeypatch.setenv("STUDY_PROFILE", "fast")
+    with pytest.raises(InputError, match=r"fast.*quick, full, test"):
+        chosen_profile()
+
+
+def kernels_called_from_python():
+    """Full names of the kernels that plain Python modules import or name after their module."""
+    found = set()
+    for file in sorted((PROJECT / "study").rglob("*.py")):
+        if file.stem.startswith("_kernels"):
+            continue
+        tree = ast.parse(file.read_text(encoding="utf-8"))
+        modules = {}
+        for item in ast.walk(tree):
+            if isinstance(item, ast.ImportFrom) and item.module:
+                for name in item.names:
+                    if item.module.rpartition(".")[2].startswith("_kernels"):
+                        found.add(f"{item.module}.{name.name}")
+                    elif name.name.startswith("_kernels"):
+                        modules[name.asname or name.name] = f"{item.module}.{name.name}"
+        for item in ast.walk(tree):
+            if (
+                isinstance(item, ast.Attribute)
+                and isinstance(item.value, ast.Name)
+                and item.value.id in modules
+            ):
+                found.add(f"{modules[item.value.id]}.{item.attr}")
+    return found
+
+
+def test_preparing_compiles_every_kernel():
+    """A kernel that `warm` leaves out would be compiled by several workers at once."""
+    code = """
+import importlib, sys
+from study.prepare import warm
+
+warm()
+for name in sys.argv[1:]:
+    module, _, kernel = name.rpartition(".")
+    dispatcher = getattr(importlib.import_module(module), kernel)
+    if hasattr(dispatcher, "signatures") and not dispatcher.signatures:
+        print(name)
+"""
+    names = sorted(kernels_called_from_python())
+    assert "study.volumes._kernels.squared_distance_to_boxes" in names
+    done = subprocess.run([sys.executable, "-c", code, *names], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == []
+
+
+# The batch runner
+
+
+def write_notebook(path, *sources, tags=("parameters",)):
+    cells = [nbformat.v4.new_code_cell(source) for source in sources]
+    cells[0].metadata["tags"] = list(tags)
+    nbformat.write(nbformat.v4.new_notebook(cells=cells), path)
+    return path
+
+
+@pytest.mark.notebook
+def test_batch_runs_in_the_project_whatever_the_working_directory(tmp_path, monkeypatch):
+    write_notebook(
+        tmp_path / "where.ipynb",
+        'output_dir = ""\nscale = 1.0',
+        "import os, pathlib\nwhere = pathlib.Path(output_dir, 'where.txt')\n"
+        "_ = where.write_text('\\n'.join([os.getcwd(), repr(scale), os.environ['STUDY_BATCH']]))",
+    )
+    monkeypatch.chdir(tmp_path)
+    arguments = [
+        "where.ipynb",
+        "-p",
+        "output_dir",
+        str(tmp_path),
+        "-p",
+        "scale",
+        "3",
+        "--output",
+        "done.ipynb",
+    ]
+    assert main(arguments) == 0
+    assert (tmp_path / "where.txt").read_text().split("\n") == [str(PROJECT), "3.0", "1"]
+    done = nbformat.read(tmp_path / "done.ipynb", as_version=4)
+    assert all(cell.execution_count for cell in done.cells if cell.cell_type == "code")
+
+
+@pytest.mark.notebook
+def test_batch_fails_with_the_traceback_of_the_cell(tmp_path, capsys):
+    notebook = write_notebook(tmp_path / "fails.ipynb", "x = 1", "raise ArithmeticError(f'x is {x}')")
+    assert main([str(notebook), "-p", "x", "7", "--output", str(tmp_path / "done.ipynb")]) == 1
+    assert "ArithmeticError: x is 7" in capsys.readouterr().err
+
+
+def test_batch_refuses_a_parameter_that_the_notebook_does_not_declare(tmp_path, capsys):
+    notebook = write_notebook(tmp_path / "n.ipynb", "strategy = '3d'", "1 / 0")
+    output = tmp_path / "done.ipynb"
+    with pytest.raises(InputError, match=r"n\.ipynb has no parameter 'stratgy'; it has: strategy"):
+        run_notebook(notebook, {"stratgy": "zigzag"}, output=output)
+    assert main([str(notebook), "-p", "stratgy", "zigzag", "--output", str(output)]) == 2
+    assert "stratgy" in capsys.readouterr().err
+    assert not output.exists()
+
+
+def test_batch_refuses_what_is_no_notebook(tmp_path):
+    with pytest.raises(InputError, match=r"found no file missing\.ipynb"):
+        run_notebook("missing.ipynb")
+    (tmp_path / "broken.ipynb").write_text("{")
+    with pytest.raises(FileFormatError, match=r"broken\.ipynb: expected a Jupyter notebook"):
+        run_notebook(tmp_path / "broken.ipynb")
+    with pytest.raises(FileFormatError, match="one code cell tagged 'parameters', found 0"):
+        run_notebook(write_notebook(tmp_path / "n.ipynb", "x = 1", tags=()))
+    with pytest.raises(FileFormatError, match=r"expected `name = literal`.*x = f\(\)"):
+        run_notebook(write_notebook(tmp_path / "n.ipynb", "x = f()"))
+
+
+@pytest.mark.parametrize(
+    ("default", "given", "taken"),
+    [
+        (4, "5", 5),
+        (1.0, "2", 2.0),
+        (1.0, "1e-3", 1e-3),
+        ("", "3", "3"),
+        (False, "True", True),
+        (["CH01"], "['TB02', 'TB03']", ["TB02", "TB03"]),
+    ],
+)
+def test_values_of_the_command_line_get_the_kind_of_the_default(default, given, taken):
+    value = checked_parameters({"x": default}, {"x": given})["x"]
+    assert value == taken and type(value) is type(taken)
+
+
+@pytest.mark.parametrize(
+    ("default", "given"), [(4, "five"), (4, 4.5), (4, True), (1.0, "a b"), (True, 1), ("a", 3)]
+)
+def test_values_of_another_kind_are_refused(default, given):
+    with pytest.raises(InputError, match=f"expected x to be {type(default).__name__}"):
+        checked_parameters({"x": default}, {"x": given})
+
+
+def test_unknown_profile_is_refused():
+    with pytest.raises(InputError, match="no profile 'fast'; it has: quick, full, test"):
+        profile_parameters("table_2_2", "fast")
+
+
+@pytest.mark.notebook
+@pytest.mark.skipif(os.name == "nt", reason="only TCP there")
+def test_two_runs_at_the_same_time_do_not_take_each_others_kernel(tmp_path):
+    notebook = write_notebook(
+        tmp_path / "n.ipynb", "x = 0", "import pathlib; _ = pathlib.Path(str(x)).exists()"
+    )
+    command = [sys.executable, "-m", "study.batch", str(notebook)]
+    runs = [
+        subprocess.Popen([*command, "-p", "x", str(k), "--output", str(tmp_path / f"{k}.ipynb")])
+        for k in range(3)
+    ]
+    assert [run.wait(timeout=120) for run in runs] == [0, 0, 0]
