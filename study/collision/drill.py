@@ -57,7 +57,7 @@ class Drill:
 
     @property
     def burr_radius(self) -> float:
-        """mm."""
+        """Mm."""
         return self.burr_diameter / 2
 
     @property

@@ -124,7 +124,10 @@ def modified_volume(volume: LabelVolume, burr_radius: float) -> ModifiedVolume:
     for axis in range(3):  # the burr may not reach beyond the image, nor beyond the box that was looked at
         low_edge = [slice(None)] * 3
         high_edge = [slice(None)] * 3
-        low_edge[axis], high_edge[axis] = slice(0, reach[axis]), slice(allowed.shape[axis] - reach[axis], None)
+        low_edge[axis], high_edge[axis] = (
+            slice(0, reach[axis]),
+            slice(allowed.shape[axis] - reach[axis], None),
+        )
         allowed[tuple(low_edge)] = False
         allowed[tuple(high_edge)] = False
 

@@ -77,7 +77,9 @@ class PlannerSettings:
 
         require(np.isfinite(self.cutting_depth) and self.cutting_depth > 0, "cutting_depth", "mm above 0")
         require(0 < self.max_tilt_deg <= 80, "max_tilt_deg", "degrees above 0 and at most 80")
-        require(0 <= self.min_window_deg <= 2 * self.max_tilt_deg, "min_window_deg", "0 to twice max_tilt_deg")
+        require(
+            0 <= self.min_window_deg <= 2 * self.max_tilt_deg, "min_window_deg", "0 to twice max_tilt_deg"
+        )
         require(0 <= self.min_overlap_deg <= self.min_window_deg, "min_overlap_deg", "0 to min_window_deg")
         require(self.row_pitch >= 0, "row_pitch", "voxels, 0 for the supervoxel's size")
         require(self.layer_pitch >= 0, "layer_pitch", "voxels, 0 for the supervoxel's size")

@@ -59,9 +59,7 @@ class LabelVolume:
             elif not np.issubdtype(labels.dtype, np.integer):
                 raise InputError(f"labels: expected integers, got dtype {labels.dtype}")
             elif labels.min() < 0 or labels.max() > 255:
-                raise InputError(
-                    f"labels: expected values 0..255, got {labels.min()}..{labels.max()}"
-                )
+                raise InputError(f"labels: expected values 0..255, got {labels.min()}..{labels.max()}")
             else:
                 labels = labels.astype(np.uint8)
         labels = labels.view()

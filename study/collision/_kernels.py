@@ -1,0 +1,406 @@
+"""Compiled loops of the 4-DOF accessibility check, in the planner's canonical frame.
+
+Arrays are indexed ``[layer, depth, lateral]``: layers along the rotation axis, depth growing from the
+outside into the bone, lateral the remaining axis. In the tilt plane ``u`` points out of the bone
+(towards the drill body) and ``w`` along the lateral axis; a shaft tilted by ``theta`` runs along
+``(cos theta, sin theta)``. A cylinder is the half-infinite strip ``t >= start, |m| <= radius``:
+cylinders further out are wider, so where one ends does not matter.
+"""
+
+from __future__ import annotations
+
+from math import acos, asin, atan2, ceil, cos, floor, hypot, inf, sin, sqrt, tan
+from typing import NamedTuple
+
+import numba as nb
+import numpy as np
+
+
+class Shaft(NamedTuple):
+    """What the window of accessible angles is computed from (arrays change as bone is removed)."""
+
+    slab: np.ndarray  # uint8 [3, layer, depth, lateral]: solid voxels in the slab of each cylinder
+    rows: np.ndarray  # int32 [3, layer, depth]: occupied cells in a row of the collapsed slab
+    low: np.ndarray  # float64 [3, row, lateral offset >= 0]: angular interval a cell blocks
+    high: np.ndarray
+    half: np.ndarray  # int64 [3]: layers on each side of the middle one that a slab holds
+    radius: np.ndarray  # float64 [3] mm, widened by the sweep between neighbouring positions
+    start: np.ndarray  # float64 [3] mm
+    inward: int  # rows of the table that lie deeper than the burr's centre
+    step_layer: float  # mm
+    step_depth: float
+    step_lateral: float
+    burr_radius: float  # mm
+    max_tilt: float  # radians
+
+
+@nb.njit(cache=True)
+def _widen(point_u, point_w, start, radius, low, high):
+    rho = hypot(point_u, point_w)
+    if rho < start * (1 - 1e-12):
+        return low, high
+    phi = atan2(point_w, point_u)
+    if rho * rho >= start * start + radius * radius:
+        delta = asin(min(1.0, radius / rho))
+    else:
+        delta = acos(min(1.0, start / rho))
+    return min(low, phi - delta), max(high, phi + delta)
+
+
+@nb.njit(cache=True)
+def blocked_interval(u0, u1, w0, w1, start, radius):
+    """Angles at which the strip overlaps the box ``[u0, u1] x [w0, w1]``; (inf, -inf) if none.
+
+    The strip first touches the box with a side or its front at a corner of the box, or with its own
+    corner (at distance hypot(start, radius)) on an edge of the box: these points decide.
+    """
+    low, high = inf, -inf
+    if u1 <= 0.0 and w0 < 0.0 < w1:  # straight behind the burr: out of reach of any tilt below 90 degrees
+        return low, high
+    for u in (u0, u1):
+        for w in (w0, w1):
+            low, high = _widen(u, w, start, radius, low, high)
+    for circle in (hypot(start, radius) * (1 + 1e-13), start * (1 + 1e-13)):
+        for u in (u0, u1):
+            if abs(u) <= circle:
+                w = sqrt(circle * circle - u * u)
+                if w0 <= w <= w1:
+                    low, high = _widen(u, w, start, radius, low, high)
+                if w0 <= -w <= w1:
+                    low, high = _widen(u, -w, start, radius, low, high)
+        for w in (w0, w1):
+            if abs(w) <= circle:
+                u = sqrt(circle * circle - w * w)
+                if u0 <= u <= u1:
+                    low, high = _widen(u, w, start, radius, low, high)
+                if u0 <= -u <= u1:
+                    low, high = _widen(-u, w, start, radius, low, high)
+    return low, high
+
+
+@nb.njit(cache=True)
+def interval_tables(shape, inward, half, radius, start, step_layer, step_depth, step_lateral, burr_radius):
+    """Blocked interval of every cell relative to the burr's voxel; mirrored for negative lateral offsets.
+
+    A cell whose voxels all overlap the burr never blocks: the burr removes them on arrival.
+    """
+    n_rows, n_lateral = shape
+    low = np.full((3, n_rows, n_lateral), inf)
+    high = np.full((3, n_rows, n_lateral), -inf)
+    limit = burr_radius * burr_radius * (1 - 1e-12)
+    for i in range(3):
+        across = max(0.0, half[i] - 0.5) * step_layer
+        for row in range(n_rows):
+            u = (row - inward) * step_depth
+            for m in range(n_lateral):
+                w = m * step_lateral
+                near_u = max(0.0, abs(u) - step_depth / 2)
+                near_w = max(0.0, w - step_lateral / 2)
+                if near_u * near_u + near_w * near_w + across * across < limit:
+                    continue
+                low[i, row, m], high[i, row, m] = blocked_interval(
+                    u - step_depth / 2, u + step_depth / 2, w - step_lateral / 2, w + step_lateral / 2,
+                    start[i], radius[i],
+                )  # fmt: skip
+    return low, high
+
+
+@nb.njit(cache=True)
+def collapse_slabs(solid, half, slab, rows):
+    """Count solid voxels of every slab by a running sum over the layers."""
+    n_layer, n_depth, n_lateral = solid.shape
+    slab[:] = 0
+    rows[:] = 0
+    running = np.zeros((n_depth, n_lateral), np.uint8)
+    for i in range(3):
+        reach = half[i]
+        running[:] = 0
+        for layer in range(-reach, n_layer):
+            enter, leave = layer + reach, layer - reach - 1
+            for d in range(n_depth):
+                for b in range(n_lateral):
+                    if enter < n_layer and solid[enter, d, b] != 0:
+                        running[d, b] += 1
+                    if leave >= 0 and solid[leave, d, b] != 0:
+                        running[d, b] -= 1
+            if layer >= 0:
+                for d in range(n_depth):
+                    filled = 0
+                    for b in range(n_lateral):
+                        slab[i, layer, d, b] = running[d, b]
+                        if running[d, b] != 0:
+                            filled += 1
+                    rows[i, layer, d] = filled
+
+
+@nb.njit(cache=True)
+def remove_from_slabs(shaft, layer, depth, lateral):
+    """Take one voxel, just milled, out of the collapsed slabs."""
+    n_layer = shaft.slab.shape[1]
+    for i in range(3):
+        reach = shaft.half[i]
+        for m in range(max(0, layer - reach), min(n_layer, layer + reach + 1)):
+            shaft.slab[i, m, depth, lateral] -= 1
+            if shaft.slab[i, m, depth, lateral] == 0:
+                shaft.rows[i, m, depth] -= 1
+
+
+@nb.njit(cache=True)
+def _subtract(gap_low, gap_high, n, low, high, min_width, current_low, current_high, min_overlap):
+    """Take [low, high] out of the gaps; drop gaps too narrow or with too little overlap. New count."""
+    kept = 0
+    pieces_low = np.empty(2)
+    pieces_high = np.empty(2)
+    fresh_low = np.empty(gap_low.size)
+    fresh_high = np.empty(gap_low.size)
+    for g in range(n):
+        a, z = gap_low[g], gap_high[g]
+        pieces = 0
+        if high <= a or low >= z:
+            pieces_low[0], pieces_high[0] = a, z
+            pieces = 1
+        else:
+            if low > a:
+                pieces_low[pieces], pieces_high[pieces] = a, low
+                pieces += 1
+            if high < z:
+                pieces_low[pieces], pieces_high[pieces] = high, z
+                pieces += 1
+        for p in range(pieces):
+            a, z = pieces_low[p], pieces_high[p]
+            overlap = min(z, current_high) - max(a, current_low)
+            if z - a >= min_width and overlap >= min_overlap and kept < fresh_low.size:
+                fresh_low[kept], fresh_high[kept] = a, z
+                kept += 1
+    for g in range(kept):
+        gap_low[g], gap_high[g] = fresh_low[g], fresh_high[g]
+    return kept
+
+
+@nb.njit(cache=True)
+def accessible_window(shaft, layer, depth, lateral, current_low, current_high, min_width, min_overlap):
+    """The range of accessible angles of a voxel that overlaps the current range most.
+
+    Returns (accessible, low, high). A voxel is accessible when such a range is at least `min_width`
+    wide and overlaps ``[current_low, current_high]`` by at least `min_overlap` (2.3.3).
+    """
+    gap_low = np.empty(24)
+    gap_high = np.empty(24)
+    gap_low[0], gap_high[0] = -shaft.max_tilt, shaft.max_tilt
+    n = 1
+    overlap = min(shaft.max_tilt, current_high) - max(-shaft.max_tilt, current_low)
+    if 2 * shaft.max_tilt < min_width or overlap < min_overlap:
+        return False, 0.0, 0.0
+    n_lateral = shaft.slab.shape[3]
+    half_depth, half_lateral = shaft.step_depth / 2, shaft.step_lateral / 2
+    for i in range(3):
+        radius = shaft.radius[i]
+        # No row closer than this is touched at any tilt that is left.
+        nearest = shaft.start[i] * cos(shaft.max_tilt) - radius * sin(shaft.max_tilt)
+        first = max(-shaft.inward, int(floor((nearest - half_depth) / shaft.step_depth)))
+        tan_low, tan_high = tan(gap_low[0]), tan(gap_high[n - 1])
+        wide_low, wide_high = radius / cos(gap_low[0]), radius / cos(gap_high[n - 1])
+        for row in range(first, depth + 1):
+            if shaft.rows[i, layer, depth - row] == 0:
+                continue
+            u = row * shaft.step_depth
+            u0, u1 = u - half_depth, u + half_depth
+            left = min(u0 * tan_low, u1 * tan_low) - wide_low - half_lateral
+            right = max(u0 * tan_high, u1 * tan_high) + wide_high + half_lateral
+            m = max(-lateral, int(floor(left / shaft.step_lateral)))
+            last = min(n_lateral - 1 - lateral, int(ceil(right / shaft.step_lateral)))
+            cells = shaft.slab[i, layer, depth - row]
+            lows, highs = shaft.low[i, row + shaft.inward], shaft.high[i, row + shaft.inward]
+            changed = False
+            while m <= last:
+                if cells[lateral + m] == 0:
+                    m += 1
+                    continue
+                # A run of occupied cells blocks one interval: neighbours' intervals overlap.
+                low, high = inf, -inf
+                while m <= last and cells[lateral + m] != 0:
+                    if m >= 0:
+                        low, high = min(low, lows[m]), max(high, highs[m])
+                    else:
+                        low, high = min(low, -highs[-m]), max(high, -lows[-m])
+                    m += 1
+                if low < high:
+                    n = _subtract(
+                        gap_low, gap_high, n, low, high, min_width, current_low, current_high, min_overlap
+                    )
+                    if n == 0:
+                        return False, 0.0, 0.0
+                    changed = True
+            if changed:
+                tan_low, tan_high = tan(gap_low[0]), tan(gap_high[n - 1])
+                wide_low, wide_high = radius / cos(gap_low[0]), radius / cos(gap_high[n - 1])
+    best, best_overlap = 0, -inf
+    for g in range(n):
+        overlap = min(gap_high[g], current_high) - max(gap_low[g], current_low)
+        if overlap > best_overlap:
+            best, best_overlap = g, overlap
+    return True, gap_low[best], gap_high[best]
+
+
+@nb.njit(cache=True)
+def pose_is_free(shaft, layer, depth, lateral, theta):
+    """Whether the shaft at this (fractional) position and tilt avoids the collapsed slabs. Conservative."""
+    n_layer, n_depth, n_lateral = shaft.slab.shape[1], shaft.slab.shape[2], shaft.slab.shape[3]
+    l0, l1 = int(floor(layer)), int(ceil(layer))
+    c, s = cos(theta), sin(theta)
+    limit = shaft.burr_radius * shaft.burr_radius * (1 - 1e-12)
+    along = shaft.step_depth / 2 * c + shaft.step_lateral / 2 * abs(s)
+    across = shaft.step_depth / 2 * abs(s) + shaft.step_lateral / 2 * c
+    for i in range(3):
+        radius, start = shaft.radius[i], shaft.start[i]
+        far = max(layer - (l0 - shaft.half[i]), l1 + shaft.half[i] - layer)
+        far = max(0.0, far - 0.5) * shaft.step_layer
+        deepest = int(floor(depth + (radius * abs(s) - start * c) / shaft.step_depth + 1))
+        for d in range(min(deepest, n_depth - 1), -1, -1):
+            u = (depth - d) * shaft.step_depth
+            centre = u * s / c
+            width = (radius + across) / c
+            b0 = max(0, int(ceil(lateral + (centre - width) / shaft.step_lateral)))
+            b1 = min(n_lateral - 1, int(floor(lateral + (centre + width) / shaft.step_lateral)))
+            for layer_index in (l0, l1):
+                if not 0 <= layer_index < n_layer or shaft.rows[i, layer_index, d] == 0:
+                    continue
+                for b in range(b0, b1 + 1):
+                    if shaft.slab[i, layer_index, d, b] == 0:
+                        continue
+                    w = (b - lateral) * shaft.step_lateral
+                    if u * c + w * s + along <= start:
+                        continue
+                    near_u = max(0.0, abs(u) - shaft.step_depth / 2)
+                    near_w = max(0.0, abs(w) - shaft.step_lateral / 2)
+                    if near_u * near_u + near_w * near_w + far * far < limit:
+                        continue
+                    return False
+    return True
+
+
+@nb.njit(cache=True)
+def _distance_to_segment(x0, y0, x1, y1):
+    dx, dy = x1 - x0, y1 - y0
+    length = dx * dx + dy * dy
+    t = 0.0
+    if length > 0.0:
+        t = min(1.0, max(0.0, -(x0 * dx + y0 * dy) / length))
+    return hypot(x0 + t * dx, y0 + t * dy)
+
+
+@nb.njit(cache=True)
+def cylinder_overlaps_box(centre, axis, radius, start, end, box_low, box_high):
+    """Whether a solid cylinder and a box overlap, exactly (touching is not overlapping).
+
+    The cylinder has its axis through `centre` along the unit vector `axis`, from `start` to `end` mm.
+    The box, cut by the planes of the two end caps, is projected along the axis; what is left is the
+    distance from a point to a convex polygon.
+    """
+    # Does the axis itself pass through the box between the caps?
+    enter, leave = start, end
+    for n in range(3):
+        if axis[n] == 0.0:
+            if not box_low[n] < centre[n] < box_high[n]:
+                enter, leave = 1.0, 0.0
+                break
+        else:
+            a = (box_low[n] - centre[n]) / axis[n]
+            z = (box_high[n] - centre[n]) / axis[n]
+            enter, leave = max(enter, min(a, z)), min(leave, max(a, z))
+    if enter < leave:
+        return True
+    # Vertices of the box between the caps, and where its edges cross them, seen along the axis.
+    small = 0
+    for n in range(3):
+        if abs(axis[n]) < abs(axis[small]):
+            small = n
+    helper = np.zeros(3)
+    helper[small] = 1.0
+    e1 = np.cross(axis, helper)
+    e1 /= sqrt(e1[0] ** 2 + e1[1] ** 2 + e1[2] ** 2)
+    e2 = np.cross(axis, e1)
+    x = np.empty(8)
+    y = np.empty(8)
+    t = np.empty(8)
+    for v in range(8):
+        p0 = (box_high[0] if v & 1 else box_low[0]) - centre[0]
+        p1 = (box_high[1] if v & 2 else box_low[1]) - centre[1]
+        p2 = (box_high[2] if v & 4 else box_low[2]) - centre[2]
+        t[v] = p0 * axis[0] + p1 * axis[1] + p2 * axis[2]
+        x[v] = p0 * e1[0] + p1 * e1[1] + p2 * e1[2]
+        y[v] = p0 * e2[0] + p1 * e2[1] + p2 * e2[2]
+    hull_x = np.empty(32)
+    hull_y = np.empty(32)
+    n_hull = 0
+    for v in range(8):
+        if start < t[v] < end:
+            hull_x[n_hull], hull_y[n_hull] = x[v], y[v]
+            n_hull += 1
+        for bit in (1, 2, 4):
+            o = v | bit
+            if o == v:
+                continue
+            for cap in (start, end):
+                if (t[v] - cap) * (t[o] - cap) < 0.0:
+                    f = (cap - t[v]) / (t[o] - t[v])
+                    hull_x[n_hull] = x[v] + f * (x[o] - x[v])
+                    hull_y[n_hull] = y[v] + f * (y[o] - y[v])
+                    n_hull += 1
+    limit = radius * (1 - 1e-12)
+    for a in range(n_hull):
+        for z in range(a, n_hull):
+            if _distance_to_segment(hull_x[a], hull_y[a], hull_x[z], hull_y[z]) < limit:
+                return True
+    return False
+
+
+@nb.njit(cache=True)
+def drill_overlaps_voxels(solid, spacing, position, axis, cylinders, hit):
+    """Whether the drill's shaft at a pose overlaps a solid voxel; `hit` receives the voxel's index.
+
+    `position` is in mm of the index frame (voxel centre = index x spacing). Exact: every solid voxel
+    near a cylinder is tested by `cylinder_overlaps_box`.
+    """
+    shape = solid.shape
+    low = np.empty(3)
+    high = np.empty(3)
+    for c in range(cylinders.shape[0]):
+        radius, start, end = cylinders[c, 0], cylinders[c, 1], cylinders[c, 2]
+        first = np.empty(3, np.int64)
+        last = np.empty(3, np.int64)
+        for n in range(3):
+            a = position[n] + axis[n] * start
+            z = position[n] + axis[n] * end
+            reach = radius * sqrt(max(0.0, 1.0 - axis[n] * axis[n])) + spacing[n] / 2
+            first[n] = max(0, int(ceil((min(a, z) - reach) / spacing[n])))
+            last[n] = min(shape[n] - 1, int(floor((max(a, z) + reach) / spacing[n])))
+        bound = radius + 0.5 * sqrt(spacing[0] ** 2 + spacing[1] ** 2 + spacing[2] ** 2)
+        for i in range(first[0], last[0] + 1):
+            p0 = i * spacing[0] - position[0]
+            for j in range(first[1], last[1] + 1):
+                p1 = j * spacing[1] - position[1]
+                # Voxels of this column whose centres are within `bound` of the axis: a k interval.
+                c0, c1 = p0 * axis[0] + p1 * axis[1], p0 * p0 + p1 * p1
+                k0, k1 = first[2], last[2]
+                square = 1.0 - axis[2] * axis[2]
+                if square > 1e-9:
+                    middle = c0 * axis[2] / square
+                    rest = middle * middle - (c1 - c0 * c0 - bound * bound) / square
+                    if rest < 0.0:
+                        continue
+                    rest = sqrt(rest)
+                    k0 = max(k0, int(floor((position[2] + middle - rest) / spacing[2])))
+                    k1 = min(k1, int(ceil((position[2] + middle + rest) / spacing[2])))
+                elif c1 > bound * bound:
+                    continue
+                for k in range(k0, k1 + 1):
+                    if solid[i, j, k] == 0:
+                        continue
+                    low[0], high[0] = (i - 0.5) * spacing[0], (i + 0.5) * spacing[0]
+                    low[1], high[1] = (j - 0.5) * spacing[1], (j + 0.5) * spacing[1]
+                    low[2], high[2] = (k - 0.5) * spacing[2], (k + 0.5) * spacing[2]
+                    if cylinder_overlaps_box(position, axis, radius, start, end, low, high):
+                        hit[0], hit[1], hit[2] = i, j, k
+                        return True
+    return False

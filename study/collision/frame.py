@@ -1,0 +1,162 @@
+"""The planner's canonical frame: layers along the rotation axis, depth along the approach."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from study.errors import GeometryError, InputError, TargetUnreachableError
+from study.volumes import LabelVolume
+
+
+@dataclass(frozen=True)
+class CanonicalFrame:
+    """How a volume's index axes become ``[layer, depth, lateral]``, padded by air on every side.
+
+    Parameters
+    ----------
+    shape : (3,) ints
+        Of the volume.
+    spacing : (3,) floats
+        Of the volume, mm.
+    depth_axis, rotation_axis : int
+        Grid axis along which the drill enters, and about which a 4-DOF robot tilts it.
+    into_bone : int
+        +1 when the drill enters along growing indices of `depth_axis`, -1 otherwise.
+    padding : int
+        Voxels added on every side, so that loops need no bounds checks.
+    """
+
+    shape: tuple[int, int, int]
+    spacing: tuple[float, float, float]
+    depth_axis: int
+    rotation_axis: int
+    into_bone: int
+    padding: int
+
+    @property
+    def axes(self) -> tuple[int, int, int]:
+        """Grid axes that become layer, depth, lateral."""
+        return (self.rotation_axis, self.depth_axis, 3 - self.rotation_axis - self.depth_axis)
+
+    @property
+    def steps(self) -> np.ndarray:
+        """(3,) mm between layers, depths, laterals."""
+        return np.array([self.spacing[axis] for axis in self.axes])
+
+    def canonical(self, array: np.ndarray, fill: int = 0) -> np.ndarray:
+        """A volume-shaped array in canonical order, padded with `fill`, contiguous."""
+        out = np.transpose(array, self.axes)
+        if self.into_bone < 0:
+            out = out[:, ::-1]
+        return np.ascontiguousarray(np.pad(out, self.padding, constant_values=fill))
+
+    def original(self, array: np.ndarray) -> np.ndarray:
+        """The inverse of `canonical`."""
+        p = self.padding
+        out = array[p : array.shape[0] - p, p : array.shape[1] - p, p : array.shape[2] - p]
+        if self.into_bone < 0:
+            out = out[:, ::-1]
+        return np.ascontiguousarray(np.transpose(out, np.argsort(self.axes)))
+
+    def to_indices(self, positions: np.ndarray) -> np.ndarray:
+        """(n, 3) volume indices of (n, 3) canonical positions."""
+        positions = np.asarray(positions, dtype=float) - self.padding
+        depth = positions[:, 1]
+        if self.into_bone < 0:
+            depth = self.shape[self.depth_axis] - 1 - depth
+        out = np.empty_like(positions)
+        out[:, self.axes] = np.column_stack([positions[:, 0], depth, positions[:, 2]])
+        return out
+
+    def from_indices(self, indices: np.ndarray) -> np.ndarray:
+        """(n, 3) canonical positions of (n, 3) volume indices."""
+        out = np.asarray(indices, dtype=float)[:, self.axes].copy()
+        if self.into_bone < 0:
+            out[:, 1] = self.shape[self.depth_axis] - 1 - out[:, 1]
+        return out + self.padding
+
+    def shaft_axes(self, tilts: np.ndarray, directions: np.ndarray) -> np.ndarray:
+        """(n, 3) mm unit vectors from the burr towards the drill body for (n,) tilts in radians."""
+        tilts = np.asarray(tilts, dtype=float)
+        outward = -self.into_bone * directions[:, self.depth_axis]
+        lateral = directions[:, self.axes[2]]
+        return np.cos(tilts)[:, None] * outward + np.sin(tilts)[:, None] * lateral
+
+
+def check_orthogonal(volume: LabelVolume) -> None:
+    """Raise `GeometryError` unless the volume's index axes are at right angles (flips and rotations are fine)."""
+    skew = volume.directions.T @ volume.directions - np.eye(3)
+    if np.abs(skew).max() > 1e-3:
+        raise GeometryError(
+            "expected index axes at right angles to plan in, got directions "
+            f"{np.round(volume.directions, 4).tolist()}; resample the segmentation onto an orthogonal grid"
+        )
+
+
+def find_approach(volume: LabelVolume) -> np.ndarray:
+    """Direction from outside into the bone in which the target is seen best.
+
+    Every line of voxels along a grid axis that meets target before any other solid voxel votes, by
+    the area it stands for, for entering along it; the votes add up as vectors.
+
+    Returns
+    -------
+    (3,) array
+        Unit vector in mm, outside -> bone.
+
+    Raises
+    ------
+    TargetUnreachableError
+        If no target is seen along any grid axis, or the votes cancel.
+    """
+    air, target = volume.mask("air"), volume.mask("target")
+    spacing = volume.spacing
+    votes = np.zeros(3)
+    for axis in range(3):
+        extent = target.any(axis=axis)
+        rows = np.moveaxis(~air, axis, -1)[extent]
+        aims = np.moveaxis(target, axis, -1)[extent]
+        area = float(np.prod(np.delete(spacing, axis)))
+        for sign in (1, -1):
+            first = rows[:, ::sign].argmax(axis=1)
+            seen = aims[:, ::sign][np.arange(len(first)), first]
+            # a line whose first voxel is already solid starts inside the bone, not outside
+            votes[axis] += sign * area * np.count_nonzero(seen & (first > 0))
+    direction = volume.directions @ votes
+    length = np.linalg.norm(direction)
+    if length < 1e-9 * max(1.0, float(np.abs(votes).max())) or not votes.any():
+        raise TargetUnreachableError(
+            "the target meets no outside air along any grid axis: expected a target that is open to the outside"
+        )
+    return direction / length
+
+
+def canonical_frame(
+    volume: LabelVolume, approach: np.ndarray, rotation_axis: int, padding: int
+) -> CanonicalFrame:
+    """The frame for an approach direction in mm (snapped to the nearest grid axis).
+
+    Raises
+    ------
+    InputError
+        If `approach` is not three finite numbers or zero, or `rotation_axis` is the approach axis.
+    """
+    approach = np.asarray(approach, dtype=float)
+    if approach.shape != (3,) or not np.isfinite(approach).all() or not approach.any():
+        raise InputError(f"approach: expected a (3,) direction in mm, got {approach!r}")
+    along = volume.directions.T @ approach
+    depth_axis = int(np.argmax(np.abs(along)))
+    if rotation_axis == depth_axis:
+        raise InputError(
+            f"rotation_axis: expected a grid axis across the approach axis {depth_axis}, got {rotation_axis}"
+        )
+    return CanonicalFrame(
+        tuple(int(n) for n in volume.shape),
+        tuple(float(s) for s in volume.spacing),
+        depth_axis,
+        int(rotation_axis),
+        1 if along[depth_axis] > 0 else -1,
+        int(padding),
+    )

@@ -1,0 +1,286 @@
+"""From a segmented volume to a milling plan: `plan_path`."""
+
+from __future__ import annotations
+
+import time
+from functools import lru_cache
+
+import numpy as np
+
+from study.collision import CanonicalFrame, Drill, build_shaft, canonical_frame, find_approach
+from study.collision.frame import check_orthogonal
+from study.errors import InputError, PlanningError, TargetUnreachableError
+from study.planners.fitness import compile_terms
+from study.planners.modified import ModifiedVolume, modified_volume
+from study.planners.plan import Plan
+from study.planners.settings import PlannerSettings
+from study.planners.simulation import _kernels as simulation
+from study.planners.strategies import _kernels as strategies
+from study.volumes import LabelVolume, ball_element
+
+STRATEGIES = ("3d", "zigzag")
+
+
+def supervoxel_reach(cutting_depth: float, spacing: np.ndarray) -> np.ndarray:
+    """(3,) voxels from the supervoxel's centre to its side (2.2.4).
+
+    The size is the odd number nearest to twice the cutting depth: 5 for 1 mm at 0.4 mm.
+    """
+    spacing = np.asarray(spacing, dtype=float)
+    return np.maximum(np.floor(cutting_depth / spacing + 1e-9), 0).astype(np.int64)
+
+
+@lru_cache(maxsize=8)
+def _burr_geometry(radius: float, steps: tuple[float, float, float], reach: tuple[int, int, int]):
+    """Offsets of the element, rows of its outer half, voxels swept by straight moves."""
+    steps_array = np.array(steps)
+    element = ball_element(radius, steps_array)
+    middle = np.array(element.shape) // 2
+    offsets = (np.argwhere(element) - middle).astype(np.int64)
+    outer = offsets[offsets[:, 1] < 0]
+    top_rows = {}
+    for layer, depth, lateral in outer:
+        top_rows[layer, depth] = max(top_rows.get((layer, depth), 0), abs(int(lateral)))
+    top_rows = np.array([(*row, most) for row, most in top_rows.items()], dtype=np.int64)
+    swept = simulation.swept_parts(int(max(reach)) + 1, steps_array, radius)
+    return offsets, top_rows, swept
+
+
+def _box(mask: np.ndarray, grow: np.ndarray | int = 0) -> np.ndarray:
+    """(2, 3) low and high corner of what is set, grown and clipped."""
+    axes = [np.flatnonzero(mask.any(axis=tuple({0, 1, 2} - {axis}))) for axis in range(3)]
+    low = np.array([a[0] for a in axes]) - grow
+    high = np.array([a[-1] + 1 for a in axes]) + grow
+    return np.stack([np.maximum(low, 0), np.minimum(high, mask.shape)]).astype(np.int64)
+
+
+class _Canonical:
+    """The volume in one canonical frame, with its initial accessibility pass done."""
+
+    def __init__(
+        self, modified: ModifiedVolume, frame: CanonicalFrame, drill: Drill, settings: PlannerSettings
+    ):
+        volume = modified.volume
+        self.frame = frame
+        air, target = volume.mask("air"), volume.mask("target")
+        self.solid = frame.canonical(np.where(air, 0, np.where(target, 2, 1)).astype(np.uint8))
+        self.allowed = frame.canonical(modified.allowed)
+        labels = modified.target.view(np.uint8) + modified.boundary.view(np.uint8)
+        self.modified = frame.canonical(labels)
+        max_tilt = np.deg2rad(settings.max_tilt_deg)
+        self.min_window = np.deg2rad(settings.min_window_deg)
+        protected = (self.solid == 1).astype(np.uint8)
+        shaft = build_shaft(protected, frame.steps, drill, max_tilt)
+        # Half a window plus rounding, so that a window exactly as wide as the least one still counts.
+        narrow = shaft._replace(max_tilt=min(max_tilt, self.min_window / 2 + 1e-12))
+        self.dropped = strategies.drop_inaccessible(shaft, narrow, self.modified, self.min_window)
+
+    def mean_window(self, shaft, sample: int = 400) -> float:
+        """Mean width of the windows of some of the targeted voxels, radians."""
+        voxels = np.argwhere(self.modified)
+        voxels = voxels[:: max(1, len(voxels) // sample)]
+        total = 0.0
+        for layer, depth, lateral in voxels:
+            free, low, high = strategies.accessible_window(
+                shaft, layer, depth, lateral, -shaft.max_tilt, shaft.max_tilt, 0.0, 0.0
+            )
+            total += high - low if free else 0.0
+        return total / max(1, len(voxels))
+
+
+def _choose_frame(modified, approach, drill, settings, padding) -> _Canonical:
+    """The canonical volume about the asked rotation axis, or about the better of the two."""
+    if settings.rotation_axis >= 0:
+        frame = canonical_frame(modified.volume, approach, settings.rotation_axis, padding)
+        return _Canonical(modified, frame, drill, settings)
+    along = np.abs(modified.volume.directions.T @ approach)
+    across = [axis for axis in range(3) if axis != int(np.argmax(along))]
+    options = [
+        _Canonical(modified, canonical_frame(modified.volume, approach, axis, padding), drill, settings)
+        for axis in across
+    ]
+    if options[0].dropped != options[1].dropped:
+        return min(options, key=lambda option: option.dropped)
+    max_tilt = np.deg2rad(settings.max_tilt_deg)
+    widths = []
+    for option in options:
+        protected = (option.solid == 1).astype(np.uint8)
+        widths.append(option.mean_window(build_shaft(protected, option.frame.steps, drill, max_tilt)))
+    return options[int(np.argmax(widths))]
+
+
+def _start_voxels(labels: np.ndarray, steps: np.ndarray) -> np.ndarray:
+    """Targeted voxels, outermost first, then nearest to the middle of the target's surface."""
+    voxels = np.argwhere(labels)
+    middle = voxels[:, [0, 2]].mean(axis=0)
+    aside = ((voxels[:, [0, 2]] - middle) * steps[[0, 2]]) ** 2
+    return voxels[np.lexsort((aside.sum(axis=1), voxels[:, 1]))]
+
+
+def plan_path(
+    volume: LabelVolume,
+    strategy: str = "3d",
+    dof: int = 4,
+    drill: Drill | None = None,
+    settings: PlannerSettings | None = None,
+    approach: np.ndarray | None = None,
+) -> Plan:
+    """Plan the milling of a volume's target.
+
+    Parameters
+    ----------
+    volume : LabelVolume
+        With labels ``air`` and ``target``; everything else is protected.
+    strategy : {"3d", "zigzag"}
+        The 3-D planner of section 2.3, or the 2.5-D zigzag of section 2.4.1.
+    dof : {4}
+        4: three translations and a tilt about one grid axis.
+    drill : Drill, optional
+        `Drill()` by default.
+    settings : PlannerSettings, optional
+    approach : (3,) array, optional
+        Direction in mm from outside into the bone; found by `find_approach` when not given, and
+        snapped to the nearest grid axis.
+
+    Returns
+    -------
+    Plan
+        Byte-identical for the same arguments, its planning time apart.
+
+    Raises
+    ------
+    InputError, GeometryError, LabelError
+        If an argument cannot be used.
+    PlanningError, TargetUnreachableError
+        If there is no target, the burr does not fit, or no start position can be reached.
+    """
+    if strategy not in STRATEGIES:
+        raise InputError(f"strategy: expected one of {STRATEGIES}, got {strategy!r}")
+    if dof != 4:
+        raise InputError(f"dof: expected 4, got {dof!r}")
+    drill = Drill() if drill is None else drill
+    settings = PlannerSettings() if settings is None else settings
+    clock = time.perf_counter()
+    check_orthogonal(volume)
+    modified = modified_volume(volume, drill.burr_radius)
+    approach = find_approach(volume) if approach is None else np.asarray(approach, dtype=float)
+
+    reach_burr = np.floor(drill.burr_radius / volume.spacing + 0.5).astype(int) + 1
+    reach_super = supervoxel_reach(settings.cutting_depth, volume.spacing)
+    padding = int(max(reach_burr.max(), 2 * reach_super.max() + 2))
+    canonical = _choose_frame(modified, approach, drill, settings, padding)
+    frame = canonical.frame
+    sim, accessible = _build(canonical, drill, settings)
+    search = _search_arrays(sim.solid.size)
+
+    starts = _start_voxels(canonical.modified, frame.steps)
+    if len(starts) == 0:
+        raise TargetUnreachableError(
+            f"none of the {np.count_nonzero(modified.target)} burr positions in the target can be reached by the "
+            f"shaft past protected bone within {settings.max_tilt_deg:g} degrees of the approach"
+        )
+    for start in starts:
+        free, _, _ = strategies.accessible_window(
+            sim.shaft, *start, -sim.shaft.max_tilt, sim.shaft.max_tilt, sim.min_window, sim.min_overlap
+        )
+        if free:
+            break
+    else:
+        raise TargetUnreachableError(
+            "no targeted voxel can be reached from outside through unmilled bone: expected a target open to the air"
+        )
+    if strategy == "3d":
+        terms = compile_terms(settings.terms, volume, frame)
+        strategies.run_3d(sim, search, start.astype(np.int64), settings.weights.as_array(), terms)
+    else:
+        targeted = canonical.modified.astype(np.bool_)
+        extent = np.ptp(np.argwhere(targeted), axis=0) * frame.steps
+        row_axis = 2 if extent[2] >= extent[0] else 0
+        across = sim.reach[0] if row_axis == 2 else sim.reach[2]
+        row_pitch = settings.row_pitch or int(across + 1)
+        layer_pitch = settings.layer_pitch or int(sim.reach[1] + 1)
+        strategies.run_zigzag(sim, search, start.astype(np.int64), targeted, row_axis, row_pitch, layer_pitch)
+    if sim.counters[simulation.FULL]:
+        raise PlanningError(
+            f"the plan exceeds {len(sim.path)} positions for {np.count_nonzero(accessible)} targeted voxels"
+        )
+    elapsed = time.perf_counter() - clock
+
+    rows = sim.path[: sim.counters[simulation.ROWS]]
+    labels = volume.labels.copy()
+    solid = frame.original(sim.solid)
+    labels[volume.mask("target") & (solid == 0)] = volume.names["air"]
+    return Plan(
+        points=volume.points(frame.to_indices(rows[:, :3])),
+        axes=frame.shaft_axes(rows[:, 3], volume.directions),
+        removed=rows[:, 4] * volume.voxel_volume,
+        strategy=strategy,
+        dof=dof,
+        approach=frame.into_bone * volume.directions[:, frame.depth_axis],
+        rotation_axis=frame.rotation_axis,
+        drill=drill,
+        settings=settings,
+        modified=modified,
+        remaining=volume.with_labels(labels),
+        accessible=accessible,
+        left=frame.original(sim.modified) != 0,
+        planning_time_s=elapsed,
+    )
+
+
+def _build(canonical: _Canonical, drill: Drill, settings: PlannerSettings):
+    """The simulations at their start, and the mask of accessible targeted voxels in the volume's order."""
+    frame = canonical.frame
+    steps = frame.steps
+    reach = supervoxel_reach(settings.cutting_depth, steps)
+    element, top_rows, swept = _burr_geometry(
+        float(drill.burr_radius), tuple(steps.tolist()), tuple(int(r) for r in reach)
+    )
+    shape = canonical.solid.shape
+    labels = canonical.modified
+    covers = np.zeros(shape, np.uint16)
+    crowded = np.ones(shape, np.bool_)
+    near = _box(canonical.allowed) if canonical.allowed.any() else np.zeros((2, 3), np.int64)
+    simulation.count_covers(labels, canonical.allowed, reach, near, covers, crowded)
+    top = np.zeros(shape, np.uint16)
+    simulation.count_top(canonical.solid, top_rows, _box(canonical.solid == 2), top)
+    stood = np.empty((*shape, 2), np.float32)
+    simulation.never_stood(stood)
+    n_targeted = int(np.count_nonzero(labels))
+    random = np.random.default_rng(settings.seed).integers(0, 2**32, 1 << 16, dtype=np.uint32)
+    shaft = build_shaft(canonical.solid, steps, drill, np.deg2rad(settings.max_tilt_deg))
+    sim = simulation.Simulation(
+        solid=canonical.solid,
+        modified=labels.copy(),
+        allowed=canonical.allowed,
+        crowded=crowded,
+        covers=covers,
+        top=top,
+        element=element,
+        top_rows=top_rows,
+        sweep_first=swept[0],
+        sweep_count=swept[1],
+        sweep_offsets=swept[2],
+        reach=reach,
+        steps=steps,
+        shaft=shaft,
+        min_window=canonical.min_window,
+        min_overlap=float(np.deg2rad(settings.min_overlap_deg)),
+        stood=stood,
+        path=np.empty((40 * n_targeted + 20000, 5)),
+        counters=np.array([0, n_targeted, 0, 0], dtype=np.int64),
+        random=random,
+    )
+    return sim, frame.original(labels) != 0
+
+
+def _search_arrays(size: int):
+    """Scratch of `find_way`."""
+    return (
+        np.zeros(size, np.int32),
+        np.empty(size, np.int8),
+        np.empty(size),
+        np.empty(size),
+        np.empty(size, np.int32),
+        np.zeros(1, np.int32),
+    )

@@ -1,0 +1,256 @@
+"""Compiled state of the two simulations kept in step (Siebold, 2.2): what moving the burr removes."""
+
+from __future__ import annotations
+
+from math import inf, sqrt
+from typing import NamedTuple
+
+import numba as nb
+import numpy as np
+
+from study.collision._kernels import Shaft, remove_from_slabs
+
+PROTECTED, TARGET = 1, 2  # values of `solid`
+UNMILLED, BOUNDARY = 1, 2  # values of `modified`; 0 is cleared or never targeted
+ROWS, LEFT, DRAWN, FULL = 0, 1, 2, 3  # entries of `counters`
+
+
+class Simulation(NamedTuple):
+    """Everything that changes while a plan is made, in canonical order ``[layer, depth, lateral]``."""
+
+    solid: np.ndarray  # uint8: 0 air or milled, PROTECTED, TARGET (the unmodified simulation)
+    modified: np.ndarray  # uint8: UNMILLED, BOUNDARY or 0 (the modified simulation)
+    allowed: np.ndarray  # bool: the burr may stand here
+    crowded: np.ndarray  # bool: the supervoxel here holds a voxel the burr may not stand at
+    covers: np.ndarray  # uint16: unmilled, non-boundary voxels in the supervoxel centred here
+    top: np.ndarray  # uint16: targeted bone in the outer half of the burr centred here
+    element: np.ndarray  # int64 (n, 3): offsets of the voxels the burr overlaps
+    top_rows: np.ndarray  # int64 (m, 3): layer, depth offset and lateral reach of the outer half's rows
+    sweep_first: np.ndarray  # int64 [a, b, c, part]: where the voxels of a swept part start
+    sweep_count: np.ndarray
+    sweep_offsets: np.ndarray  # int16 (n, 3)
+    reach: np.ndarray  # int64 (3,): supervoxel's reach in voxels
+    steps: np.ndarray  # float64 (3,) mm
+    shaft: Shaft
+    min_window: float
+    min_overlap: float
+    stood: np.ndarray  # float32 [..., 2]: window last found where the burr stood; low > high if never
+    path: np.ndarray  # float64 (capacity, 5): layer, depth, lateral, tilt, voxels removed on arriving
+    counters: np.ndarray  # int64: rows of path used, modified voxels left, random numbers drawn, path full
+    random: np.ndarray  # uint32, drawn in numpy
+
+
+@nb.njit(cache=True)
+def segment_overlaps_box(ax, ay, az, bx, by, bz, hx, hy, hz, radius):
+    """Whether a ball moving from a to b overlaps a box centred on the origin with half sizes h.
+
+    The squared distance from a point on the segment to the box is convex along the segment: bisect
+    its derivative.
+    """
+    limit = radius * radius * (1 - 1e-12)
+    dx, dy, dz = bx - ax, by - ay, bz - az
+    low, high = 0.0, 1.0
+    for end in range(2):
+        t = 0.0 if end == 0 else 1.0
+        x = max(0.0, abs(ax + t * dx) - hx)
+        y = max(0.0, abs(ay + t * dy) - hy)
+        z = max(0.0, abs(az + t * dz) - hz)
+        if x * x + y * y + z * z < limit:
+            return True
+    mx, my, mz = ax + 0.5 * dx, ay + 0.5 * dy, az + 0.5 * dz
+    x, y, z = max(0.0, abs(mx) - hx), max(0.0, abs(my) - hy), max(0.0, abs(mz) - hz)
+    if sqrt(x * x + y * y + z * z) > radius + 0.5 * sqrt(dx * dx + dy * dy + dz * dz):
+        return False
+    for _ in range(60):
+        t = 0.5 * (low + high)
+        px, py, pz = ax + t * dx, ay + t * dy, az + t * dz
+        x, y, z = max(0.0, abs(px) - hx), max(0.0, abs(py) - hy), max(0.0, abs(pz) - hz)
+        if x * x + y * y + z * z < limit:
+            return True
+        slope = (x if px > 0 else -x) * dx + (y if py > 0 else -y) * dy + (z if pz > 0 else -z) * dz
+        if slope > 0:
+            high = t
+        else:
+            low = t
+    return False
+
+
+@nb.njit(cache=True)
+def swept_parts(longest, steps, radius):
+    """Voxels a ball overlaps on each part of a straight move to a non-negative offset.
+
+    A move to (a, b, c) has max(a, b, c) equal parts. Returns first and count ``[a, b, c, part]`` and
+    the (n, 3) offsets from the start voxel; other signs are mirror images.
+    """
+    n = longest + 1
+    first = np.zeros((n, n, n, n), np.int64)
+    count = np.zeros((n, n, n, n), np.int64)
+    reach = np.empty(3, np.int64)
+    for k in range(3):
+        reach[k] = int(radius / steps[k] + 0.5) + 1
+    capacity = 1 << 16
+    offsets = np.empty((capacity, 3), np.int16)
+    used = 0
+    hx, hy, hz = steps[0] / 2, steps[1] / 2, steps[2] / 2
+    for a in range(n):
+        for b in range(n):
+            for c in range(n):
+                parts = max(a, b, c)
+                for part in range(1, parts + 1):
+                    s, e = (part - 1) / parts, part / parts
+                    first[a, b, c, part] = used
+                    for i in range(int(s * a) - reach[0], int(e * a) + reach[0] + 2):
+                        for j in range(int(s * b) - reach[1], int(e * b) + reach[1] + 2):
+                            for k in range(int(s * c) - reach[2], int(e * c) + reach[2] + 2):
+                                if segment_overlaps_box(
+                                    (s * a - i) * steps[0], (s * b - j) * steps[1], (s * c - k) * steps[2],
+                                    (e * a - i) * steps[0], (e * b - j) * steps[1], (e * c - k) * steps[2],
+                                    hx, hy, hz, radius,
+                                ):  # fmt: skip
+                                    if used == offsets.shape[0]:
+                                        longer = np.empty((2 * used, 3), np.int16)
+                                        longer[:used] = offsets
+                                        offsets = longer
+                                    offsets[used, 0], offsets[used, 1], offsets[used, 2] = i, j, k
+                                    used += 1
+                    count[a, b, c, part] = used - first[a, b, c, part]
+    return first, count, offsets[:used].copy()
+
+
+@nb.njit(cache=True)
+def _shift_top(top, top_rows, layer, depth, lateral, by):
+    for r in range(top_rows.shape[0]):
+        row = top[layer - top_rows[r, 0], depth - top_rows[r, 1]]
+        for m in range(lateral - top_rows[r, 2], lateral + top_rows[r, 2] + 1):
+            row[m] += by
+
+
+@nb.njit(cache=True)
+def count_top(solid, top_rows, near, top):
+    """Fill `top` from scratch; `near` is the box (low, high) that holds every target voxel."""
+    for layer in range(near[0, 0], near[1, 0]):
+        for d in range(near[0, 1], near[1, 1]):
+            for b in range(near[0, 2], near[1, 2]):
+                if solid[layer, d, b] == TARGET:
+                    _shift_top(top, top_rows, layer, d, b, np.uint16(1))
+
+
+@nb.njit(cache=True)
+def count_covers(modified, allowed, reach, near, covers, crowded):
+    """Fill `covers` and `crowded` within the box `near` from scratch."""
+    for layer in range(near[0, 0], near[1, 0]):
+        for d in range(near[0, 1], near[1, 1]):
+            for b in range(near[0, 2], near[1, 2]):
+                if not allowed[layer, d, b]:
+                    continue
+                n = 0
+                blocked = False
+                for i in range(layer - reach[0], layer + reach[0] + 1):
+                    for j in range(d - reach[1], d + reach[1] + 1):
+                        for k in range(b - reach[2], b + reach[2] + 1):
+                            if modified[i, j, k] == UNMILLED:
+                                n += 1
+                            if not allowed[i, j, k]:
+                                blocked = True
+                covers[layer, d, b] = n
+                crowded[layer, d, b] = blocked
+
+
+@nb.njit(cache=True)
+def _mill(sim, layer, depth, lateral):
+    sim.solid[layer, depth, lateral] = 0
+    remove_from_slabs(sim.shaft, layer, depth, lateral)
+    _shift_top(sim.top, sim.top_rows, layer, depth, lateral, np.uint16(65535))  # minus one, modulo 2^16
+
+
+@nb.njit(cache=True)
+def mill_ball(sim, layer, depth, lateral):
+    """Remove the targeted voxels the burr overlaps at a voxel; how many there were."""
+    removed = 0
+    for n in range(sim.element.shape[0]):
+        i, j, k = layer + sim.element[n, 0], depth + sim.element[n, 1], lateral + sim.element[n, 2]
+        if sim.solid[i, j, k] == TARGET:
+            _mill(sim, i, j, k)
+            removed += 1
+    return removed
+
+
+@nb.njit(cache=True)
+def sweep_is_safe(sim, layer, depth, lateral, move):
+    """Whether the burr cuts no protected voxel on a straight move of up to reach + 1 voxels."""
+    a, b, c = abs(move[0]), abs(move[1]), abs(move[2])
+    for part in range(1, max(a, b, c) + 1):
+        start = sim.sweep_first[a, b, c, part]
+        for n in range(start, start + sim.sweep_count[a, b, c, part]):
+            i = layer + (sim.sweep_offsets[n, 0] if move[0] >= 0 else -sim.sweep_offsets[n, 0])
+            j = depth + (sim.sweep_offsets[n, 1] if move[1] >= 0 else -sim.sweep_offsets[n, 1])
+            k = lateral + (sim.sweep_offsets[n, 2] if move[2] >= 0 else -sim.sweep_offsets[n, 2])
+            if sim.solid[i, j, k] == PROTECTED:
+                return False
+    return True
+
+
+@nb.njit(cache=True)
+def mill_sweep(sim, layer, depth, lateral, move, part):
+    """Remove the targeted voxels the burr overlaps on one part of a straight move; how many."""
+    a, b, c = abs(move[0]), abs(move[1]), abs(move[2])
+    removed = 0
+    start = sim.sweep_first[a, b, c, part]
+    for n in range(start, start + sim.sweep_count[a, b, c, part]):
+        i = layer + (sim.sweep_offsets[n, 0] if move[0] >= 0 else -sim.sweep_offsets[n, 0])
+        j = depth + (sim.sweep_offsets[n, 1] if move[1] >= 0 else -sim.sweep_offsets[n, 1])
+        k = lateral + (sim.sweep_offsets[n, 2] if move[2] >= 0 else -sim.sweep_offsets[n, 2])
+        if sim.solid[i, j, k] == TARGET:
+            _mill(sim, i, j, k)
+            removed += 1
+    return removed
+
+
+@nb.njit(cache=True)
+def _uncover(sim, layer, depth, lateral):
+    for i in range(layer - sim.reach[0], layer + sim.reach[0] + 1):
+        for j in range(depth - sim.reach[1], depth + sim.reach[1] + 1):
+            for k in range(lateral - sim.reach[2], lateral + sim.reach[2] + 1):
+                sim.covers[i, j, k] -= np.uint16(1)
+
+
+@nb.njit(cache=True)
+def clear_supervoxel(sim, layer, depth, lateral):
+    """Mark what the supervoxel clears: its centre, and whatever in it is not target boundary."""
+    if sim.modified[layer, depth, lateral] == BOUNDARY:
+        sim.modified[layer, depth, lateral] = 0
+        sim.counters[LEFT] -= 1
+    for i in range(layer - sim.reach[0], layer + sim.reach[0] + 1):
+        for j in range(depth - sim.reach[1], depth + sim.reach[1] + 1):
+            for k in range(lateral - sim.reach[2], lateral + sim.reach[2] + 1):
+                if sim.modified[i, j, k] == UNMILLED:
+                    sim.modified[i, j, k] = 0
+                    sim.counters[LEFT] -= 1
+                    _uncover(sim, i, j, k)
+
+
+@nb.njit(cache=True)
+def record(sim, layer, depth, lateral, tilt, removed):
+    """Append a row to the path; sets the FULL counter instead when there is no room."""
+    row = sim.counters[ROWS]
+    if row >= sim.path.shape[0]:
+        sim.counters[FULL] = 1
+        return
+    sim.path[row, 0], sim.path[row, 1], sim.path[row, 2] = layer, depth, lateral
+    sim.path[row, 3], sim.path[row, 4] = tilt, removed
+    sim.counters[ROWS] += 1
+
+
+@nb.njit(cache=True)
+def draw(sim, n):
+    """A random number below n from those drawn in numpy."""
+    value = sim.random[sim.counters[DRAWN] % sim.random.size]
+    sim.counters[DRAWN] += 1
+    return int(value % np.uint32(n))
+
+
+@nb.njit(cache=True)
+def never_stood(stood):
+    """Empty the record of windows."""
+    stood[..., 0] = inf
+    stood[..., 1] = -inf

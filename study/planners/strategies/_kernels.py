@@ -1,0 +1,317 @@
+"""Compiled strategies: the 3-D planner (Siebold, 2.3) and the 2.5-D zigzag (2.4.1)."""
+
+from __future__ import annotations
+
+from math import hypot
+
+import numba as nb
+import numpy as np
+
+from study.collision._kernels import accessible_window
+from study.planners.motion._kernels import (
+    ANY_TARGET,
+    ONE_VOXEL,
+    SLICE,
+    arrive,
+    direct_step,
+    go,
+    short_path,
+    step_to,
+    turn,
+    window_from,
+)
+from study.planners.simulation._kernels import BOUNDARY, FULL, LEFT, mill_ball, record
+
+TERM = nb.types.float64(
+    nb.types.float64, nb.types.float64, nb.types.float64, nb.types.float64, nb.types.float64
+)
+
+
+# --- the five terms of the fitness (2.4.1), each between 0 and 1 -------------------------------------
+
+
+@nb.njit(cache=True)
+def keep_direction(heading_layer, heading_lateral, move_layer, move_lateral):
+    """(1) Preserve the current planar direction of movement: (1 + cosine) / 2; 1/2 without a direction."""
+    length = hypot(heading_layer, heading_lateral) * hypot(move_layer, move_lateral)
+    if length == 0.0:
+        return 0.5
+    return 0.5 + 0.5 * (heading_layer * move_layer + heading_lateral * move_lateral) / length
+
+
+@nb.njit(cache=True)
+def coverage(covered, supervoxel_size):
+    """(2) Cover as many voxels as possible: share of the supervoxel that the step would clear."""
+    return covered / supervoxel_size
+
+
+@nb.njit(cache=True)
+def on_boundary(label):
+    """(3) Put the supervoxel's centre on a target boundary voxel."""
+    return 1.0 if label == BOUNDARY else 0.0
+
+
+@nb.njit(cache=True)
+def spare_top_half(targeted, top_half_size):
+    """(4) Little targeted bone in the outer half of the burr, which cuts badly."""
+    return 1.0 - targeted / top_half_size
+
+
+@nb.njit(cache=True)
+def upward(rise, largest_rise):
+    """(5) Bias towards moving outwards."""
+    return 0.5 + 0.5 * rise / largest_rise
+
+
+# --- 3-D ------------------------------------------------------------------------------------------------
+
+
+@nb.njit(cache=True)
+def rank_candidates(sim, burr, heading, weights, terms, candidates, scores):
+    """Candidate next positions within and next to the supervoxel (2.3.2), and their fitness (2.3.5).
+
+    `terms` is (n, weights, fields, four compiled functions): the user's own. Returns their number.
+    """
+    l0, d0, b0 = int(burr[0]), int(burr[1]), int(burr[2])
+    size = (2 * sim.reach[0] + 1) * (2 * sim.reach[1] + 1) * (2 * sim.reach[2] + 1)
+    top_size = 0
+    for r in range(sim.top_rows.shape[0]):
+        top_size += 2 * sim.top_rows[r, 2] + 1
+    largest_rise = (sim.reach[1] + 1) * sim.steps[1]
+    n_terms, term_weights, fields, f0, f1, f2, f3 = terms
+    n = 0
+    for i in range(l0 - sim.reach[0] - 1, l0 + sim.reach[0] + 2):
+        for j in range(d0 - sim.reach[1] - 1, d0 + sim.reach[1] + 2):
+            for k in range(b0 - sim.reach[2] - 1, b0 + sim.reach[2] + 2):
+                label = sim.modified[i, j, k]
+                if label == 0:
+                    continue
+                move_layer = (i - l0) * sim.steps[0]
+                rise = (d0 - j) * sim.steps[1]
+                move_lateral = (k - b0) * sim.steps[2]
+                covered = sim.covers[i, j, k] + (1 if label == BOUNDARY else 0)
+                score = (
+                    weights[0] * keep_direction(heading[0], heading[1], move_layer, move_lateral)
+                    + weights[1] * coverage(covered, size)
+                    + weights[2] * on_boundary(label)
+                    + weights[3] * spare_top_half(sim.top[i, j, k], top_size)
+                    + weights[4] * upward(rise, largest_rise)
+                )
+                for t in range(n_terms):
+                    here, there = fields[t, l0, d0, b0], fields[t, i, j, k]
+                    if t == 0:
+                        value = f0(here, there, move_layer, rise, move_lateral)
+                    elif t == 1:
+                        value = f1(here, there, move_layer, rise, move_lateral)
+                    elif t == 2:
+                        value = f2(here, there, move_layer, rise, move_lateral)
+                    else:
+                        value = f3(here, there, move_layer, rise, move_lateral)
+                    score += term_weights[t] * value
+                candidates[n, 0], candidates[n, 1], candidates[n, 2] = i, j, k
+                scores[n] = score
+                n += 1
+    return n
+
+
+@nb.njit(cache=True)
+def take_step(sim, burr, layer, depth, lateral):
+    """Move to a candidate if it is accessible: straight, or by a short path past crowded voxels (2.3, step 8)."""
+    free, low, high = window_from(sim, burr[4], burr[5], layer, depth, lateral)
+    if not free:
+        return False
+    if not sim.crowded[int(burr[0]), int(burr[1]), int(burr[2])] and direct_step(
+        sim, burr, layer, depth, lateral, low, high
+    ):
+        return True
+    return short_path(sim, burr, layer, depth, lateral)
+
+
+@nb.njit(cache=True)
+def begin(sim, burr, start):
+    """Stand at the start voxel; False if it is not accessible."""
+    limit = sim.shaft.max_tilt
+    free, low, high = window_from(sim, -limit, limit, start[0], start[1], start[2])
+    if not free:
+        return False
+    burr[3] = min(max(0.0, low), high)
+    record(sim, start[0], start[1], start[2], burr[3], mill_ball(sim, start[0], start[1], start[2]))
+    arrive(sim, burr, start[0], start[1], start[2], low, high)
+    return True
+
+
+@nb.njit(cache=True)
+def return_home(sim, search, burr, start):
+    """The way back to the start voxel (2.3.7); the way it came, reversed, if the search finds none."""
+    if burr[0] == start[0] and burr[1] == start[1] and burr[2] == start[2]:
+        return
+    if go(sim, search, burr, ONE_VOXEL, start):
+        return
+    for row in range(sim.counters[0] - 2, -1, -1):
+        here = sim.path[row]
+        if here[0] == burr[0] and here[1] == burr[1] and here[2] == burr[2]:
+            turn(sim, burr, here[3])
+        else:
+            record(sim, here[0], here[1], here[2], burr[3], 0)
+            burr[0], burr[1], burr[2] = here[0], here[1], here[2]
+            turn(sim, burr, here[3])
+
+
+@nb.njit(cache=True)
+def run_3d(sim, search, start, weights, terms):
+    """Mill by fitness until no target voxel can be reached, then go home."""
+    burr = np.zeros(6)
+    if not begin(sim, burr, start):
+        return False
+    heading = np.zeros(2)
+    most = (2 * sim.reach[0] + 3) * (2 * sim.reach[1] + 3) * (2 * sim.reach[2] + 3)
+    candidates = np.empty((most, 3), np.int64)
+    scores = np.empty(most)
+    nothing = np.zeros(3, np.int64)
+    while sim.counters[LEFT] > 0 and sim.counters[FULL] == 0:
+        l0, b0 = burr[0], burr[2]
+        n = rank_candidates(sim, burr, heading, weights, terms, candidates, scores)
+        moved = False
+        while n > 0:
+            # The best is nearly always accessible: look it up lazily instead of sorting.
+            best = np.argmax(scores[:n])
+            i, j, k = candidates[best]
+            if take_step(sim, burr, i, j, k):
+                moved = True
+                break
+            n -= 1
+            candidates[best], scores[best] = candidates[n], scores[n]
+        if not moved and not go(sim, search, burr, ANY_TARGET, nothing):
+            break
+        if burr[0] != l0 or burr[2] != b0:
+            heading[0] = (burr[0] - l0) * sim.steps[0]
+            heading[1] = (burr[2] - b0) * sim.steps[2]
+    return_home(sim, search, burr, start)
+    return True
+
+
+# --- 2.5-D zigzag ---------------------------------------------------------------------------------------
+
+
+@nb.njit(cache=True)
+def _row_voxel(row_axis, row, depth, along):
+    # Rows run along `row_axis` (0 layers, 2 laterals) and lie side by side along the other one.
+    if row_axis == 2:
+        return row, depth, along
+    return along, depth, row
+
+
+@nb.njit(cache=True)
+def _adjacent(burr, i, j, k):
+    return abs(burr[0] - i) + abs(burr[1] - j) + abs(burr[2] - k) == 1
+
+
+@nb.njit(cache=True)
+def _visit(sim, search, burr, i, j, k):
+    """Step to a neighbouring voxel, or go to it the long way round."""
+    if burr[0] == i and burr[1] == j and burr[2] == k:
+        return True
+    if _adjacent(burr, i, j, k):
+        free, low, high = window_from(sim, burr[4], burr[5], i, j, k)
+        if free:
+            step_to(sim, burr, i, j, k, low, high)
+            return True
+    return go(sim, search, burr, ONE_VOXEL, np.array([i, j, k]))
+
+
+@nb.njit(cache=True)
+def _has_work(sim, i, j, k):
+    """Whether standing here would clear anything."""
+    return sim.modified[i, j, k] == BOUNDARY or sim.covers[i, j, k] > 0
+
+
+@nb.njit(cache=True)
+def _zigzag_layer(sim, search, burr, targeted, depth, row_axis, row_pitch):
+    """Parallel rows over one layer, there and back, from the side nearer to the burr."""
+    n_rows = targeted.shape[0] if row_axis == 2 else targeted.shape[2]
+    n_along = targeted.shape[2] if row_axis == 2 else targeted.shape[0]
+    first_row, last_row = n_rows, -1
+    for row in range(n_rows):
+        for along in range(n_along):
+            i, j, k = _row_voxel(row_axis, row, depth, along)
+            if targeted[i, j, k]:
+                first_row, last_row = min(first_row, row), max(last_row, row)
+                break
+    if last_row < 0:
+        return
+    # The rows stand as a comb in the middle of the layer's extent.
+    n_pitches = (last_row - first_row) // row_pitch
+    offset = first_row + (last_row - first_row - n_pitches * row_pitch) // 2
+    here_row = burr[0] if row_axis == 2 else burr[2]
+    upwards = abs(here_row - first_row) <= abs(here_row - last_row)
+    along_now = burr[2] if row_axis == 2 else burr[0]
+    for r in range(n_pitches + 1):
+        row = offset + (r if upwards else n_pitches - r) * row_pitch
+        low, high = n_along, -1
+        for along in range(n_along):
+            i, j, k = _row_voxel(row_axis, row, depth, along)
+            if targeted[i, j, k] and _has_work(sim, i, j, k):
+                low, high = min(low, along), max(high, along)
+        if high < 0:
+            continue
+        forwards = abs(along_now - low) <= abs(along_now - high)
+        for m in range(high - low + 1):
+            along = low + m if forwards else high - m
+            i, j, k = _row_voxel(row_axis, row, depth, along)
+            # Along a row the burr goes straight on; it leaves out what it cannot reach, and detours
+            # past gaps only to where something is left to clear.
+            if targeted[i, j, k] and (_adjacent(burr, i, j, k) or _has_work(sim, i, j, k)):
+                _visit(sim, search, burr, i, j, k)
+        along_now = burr[2] if row_axis == 2 else burr[0]
+
+
+@nb.njit(cache=True)
+def run_zigzag(sim, search, start, targeted, row_axis, row_pitch, layer_pitch):
+    """Layer by layer: rows, then a circuit around what is left at each slice's rim; pockets last."""
+    burr = np.zeros(6)
+    if not begin(sim, burr, start):
+        return False
+    nothing = np.zeros(3, np.int64)
+    n_depth = targeted.shape[1]
+    first, last = n_depth, -1
+    for d in range(n_depth):
+        if targeted[:, d, :].any():
+            first, last = min(first, d), max(last, d)
+    band = np.zeros(3, np.int64)
+    top = first
+    while top <= last and sim.counters[FULL] == 0:
+        depth = min(top + layer_pitch // 2, last)
+        _zigzag_layer(sim, search, burr, targeted, depth, row_axis, row_pitch)
+        for d in range(top, min(top + layer_pitch, last + 1)):
+            band[0], band[1] = d, d + 1
+            while sim.counters[FULL] == 0 and (sim.modified[:, d, :] != 0).any():
+                if not go(sim, search, burr, SLICE, band):
+                    break
+        top += layer_pitch
+    while sim.counters[LEFT] > 0 and sim.counters[FULL] == 0:
+        if not go(sim, search, burr, ANY_TARGET, nothing):
+            break
+    return_home(sim, search, burr, start)
+    return True
+
+
+@nb.njit(cache=True)
+def drop_inaccessible(shaft, narrow, modified, min_width):
+    """Initial accessibility pass (2.3.1): drop targeted voxels that protected bone alone walls off.
+
+    `narrow` is the same shaft with its tilt limited to half of `min_width`: a quick look straight out
+    settles most voxels. Returns how many were dropped.
+    """
+    dropped = 0
+    tilt, slight = shaft.max_tilt, narrow.max_tilt
+    for i in range(modified.shape[0]):
+        for j in range(modified.shape[1]):
+            for k in range(modified.shape[2]):
+                if modified[i, j, k] == 0:
+                    continue
+                if accessible_window(narrow, i, j, k, -slight, slight, min_width, min_width)[0]:
+                    continue
+                if not accessible_window(shaft, i, j, k, -tilt, tilt, min_width, min_width)[0]:
+                    modified[i, j, k] = 0
+                    dropped += 1
+    return dropped
