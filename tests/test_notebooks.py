@@ -3,10 +3,10 @@
 import shlex
 from pathlib import Path
 
-import nbformat
 import pytest
 import yaml
 from nbclient import NotebookClient
+from papermill.iorw import load_notebook_node
 from papermill.parameterize import parameterize_notebook
 
 from study.batch import (
@@ -32,10 +32,9 @@ def command_of(stage):
 def test_notebook_makes_the_outputs_of_its_stage(name, tmp_path):
     notebook, parameters = command_of(STAGES[name])
     path = PROJECT / notebook
-    node = nbformat.read(path, as_version=4)
+    node = load_notebook_node(str(path))
     given = {**profile_parameters(path.stem, "test"), **parameters, "output_dir": str(tmp_path)}
     values = checked_parameters(declared_parameters(node, path.name), given, path.name)
-    node.metadata["papermill"] = {}
     node = parameterize_notebook(node, values, kernel_name="python3", language="python")
     with private_connection() as config:
         client = NotebookClient(
