@@ -1,0 +1,139 @@
+"""Predicted milling: path length, time and speed of a plan on the 4-axis robot (Siebold, 2.4.1 and 2.5.1)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pandas as pd
+
+from study.errors import InputError
+from study.robots.ansr import Ansr
+from study.robots.feed import FeedSettings, weighted_removal
+from study.robots.rounding import RoundedPath, RoundingSettings, round_plan
+from study.robots.trajectory import JointTrajectory, joint_trajectory
+
+if TYPE_CHECKING:
+    from study.planners import Plan
+
+
+@dataclass(frozen=True, eq=False)
+class Milling:
+    """What a robot makes of a plan.
+
+    Attributes
+    ----------
+    plan : Plan
+    robot : Ansr
+    feed : FeedSettings
+    path : RoundedPath
+        The path the burr's centre follows.
+    removed : (n,) array
+        mm^3 of bone (of relative density 1) removed on arriving at each planned point.
+    tilt : (n,) array
+        Tilt at the planned points, radians.
+    """
+
+    plan: Plan
+    robot: Ansr
+    feed: FeedSettings
+    path: RoundedPath
+    removed: np.ndarray
+    tilt: np.ndarray
+
+    @cached_property
+    def step_lengths(self) -> np.ndarray:
+        """(n - 1,) mm of rounded path between planned points."""
+        return np.diff(self.path.rounded_s)
+
+    @cached_property
+    def speeds(self) -> np.ndarray:
+        """(n - 1,) mm/s the feed rate allows in each step."""
+        return self.feed.speeds(self.removed[1:], self.step_lengths)
+
+    @cached_property
+    def step_times(self) -> np.ndarray:
+        """(n - 1,) seconds of each step: of its travel or its rotation, whichever takes longer."""
+        turning = np.abs(np.diff(self.tilt)) / np.deg2rad(self.robot.max_tilt_speed_deg)
+        return np.maximum(self.step_lengths / self.speeds, turning)
+
+    @property
+    def path_length_mm(self) -> float:
+        """Length of the rounded path, mm (the printed milling path length)."""
+        return self.path.length_mm
+
+    @property
+    def time_s(self) -> float:
+        """Predicted milling time, s."""
+        return float(self.step_times.sum())
+
+    @property
+    def mean_speed_mm_per_s(self) -> float:
+        """Rounded length over time, mm/s; 0 for a plan that does not move."""
+        return self.path_length_mm / self.time_s if self.time_s > 0 else 0.0
+
+    @property
+    def rotation_time_s(self) -> float:
+        """Seconds in which the burr stands and the drill turns."""
+        return float(self.step_times[self.step_lengths == 0].sum())
+
+    @cached_property
+    def trajectory(self) -> JointTrajectory:
+        """Joints over time."""
+        return joint_trajectory(self.path, self.plan.axes, self.step_times, self.robot)
+
+    def with_feed(self, feed: FeedSettings) -> Milling:
+        """The same milling at another feed rate."""
+        return Milling(self.plan, self.robot, feed, self.path, self.removed, self.tilt)
+
+    def summary(self) -> pd.Series:
+        """The columns of tables A.1 and A.2 that the robot decides (lengths truly in mm)."""
+        return pd.Series(
+            {
+                "milling_path_length_mm": self.path_length_mm,
+                "predicted_milling_time_s": self.time_s,
+                "average_milling_speed_mm_per_s": self.mean_speed_mm_per_s,
+            }
+        )
+
+
+def predict_milling(
+    plan: Plan,
+    robot: Ansr | None = None,
+    feed: FeedSettings | None = None,
+    density: np.ndarray | None = None,
+    rounding: RoundingSettings | None = None,
+) -> Milling:
+    """Round the plan's corners, set the feed rate from the bone removed, and add up the time.
+
+    Parameters
+    ----------
+    plan : Plan
+        Of 4 degrees of freedom: the printed 5-DOF tables leave these columns empty.
+    robot : Ansr, optional
+        ``Ansr.for_plan(plan)`` by default.
+    feed : FeedSettings, optional
+    density : (nx, ny, nz) array, optional
+        Relative bone density on the volume's grid (`relative_density` makes it from a CT). Without
+        it all bone has density 1 and ``plan.removed`` counts.
+    rounding : RoundingSettings, optional
+
+    Returns
+    -------
+    Milling
+
+    Raises
+    ------
+    InputError
+        If the plan is not one of 4 degrees of freedom or `density` does not fit its volume.
+    """
+    robot = Ansr.for_plan(plan) if robot is None else robot
+    feed = FeedSettings() if feed is None else feed
+    removed = plan.removed if density is None else weighted_removal(plan, density)
+    removed = np.asarray(removed, dtype=float)
+    if removed.shape != (len(plan.points),) or not (removed >= 0).all():
+        raise InputError(f"plan.removed: expected {len(plan.points)} volumes of at least 0 mm^3")
+    tilt = np.unwrap(robot.inverse(plan.points, plan.axes)[:, 3])
+    return Milling(plan, robot, feed, round_plan(plan, rounding), removed, tilt)
