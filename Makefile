@@ -43,7 +43,7 @@ $(MADE): pyproject.toml constraints.txt
 	    exit 1; }
 	@echo "Making the environment in $(VENV) (once, a few minutes)"
 	@"$(PYTHON)" -m venv --clear $(VENV)
-	@"$(BIN)/python" -m pip install --quiet --disable-pip-version-check \
+	@"$(BIN)/python" -m pip install -qq --disable-pip-version-check \
 	    --constraint constraints.txt --editable '.[notebooks,test]'
 	@echo "$(CURDIR)" > $@
 
