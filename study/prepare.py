@@ -18,7 +18,9 @@ import yaml
 from study.errors import InputError, StudyError
 from study.files import written_whole
 from study.paths import PROJECT, output_folder
-from study.planners.modified import modified_volume
+from study.planners import plan_path
+from study.planners.planning import STRATEGIES
+from study.robots import predict_milling
 from study.volumes import LabelVolume
 
 #: Names the profile of ``params.yaml`` that the pipeline runs in; ``quick`` when it is not set.
@@ -53,7 +55,10 @@ def warm() -> None:
 
     Processes that fill numba's cache at the same time can break it, so this comes before any worker.
     """
-    modified_volume(tiny_volume(), burr_radius=2.5)
+    for strategy in STRATEGIES:
+        plan = plan_path(tiny_volume(), strategy=strategy)
+        plan.verify()
+        predict_milling(plan, density=np.ones(plan.remaining.shape))
 
 
 def main() -> int:

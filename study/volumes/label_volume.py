@@ -62,7 +62,7 @@ class LabelVolume:
                 raise InputError(f"labels: expected values 0..255, got {labels.min()}..{labels.max()}")
             else:
                 labels = labels.astype(np.uint8)
-        labels = labels.view()
+        labels = np.ascontiguousarray(labels).view()  # one memory layout: kernels compile once per layout
         labels.flags.writeable = False
         affine = np.array(self.affine, dtype=float)
         if affine.shape != (4, 4):
