@@ -49,5 +49,5 @@ $(MADE): pyproject.toml constraints.txt
 
 clean:
 	rm -rf $(VENV) .dvc/tmp .dvc/cache dvc.lock study.egg-info .pytest_cache .ruff_cache .hypothesis
-	find figures -mindepth 1 -not -path 'figures/readme*' -delete
+	mkdir -p figures && find figures -mindepth 1 -not -path 'figures/readme*' -delete
 	find study tests benchmarks -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -125,6 +125,13 @@ def test_stage_depends_on_all_it_reads_and_keeps_nothing_in_a_cache(name):
         assert Path(output).suffix in {".csv", ".json", ".png"}
 
 
+def test_dvc_understands_the_pipeline_without_git():
+    command = [sys.executable, "-m", "dvc", "stage", "list", "--name-only"]
+    done = subprocess.run(command, cwd=PROJECT, capture_output=True, text=True, check=True)
+    assert set(done.stdout.split()) == set(STAGES)
+    assert "no_scm = true" in (PROJECT / ".dvc" / "config").read_text(encoding="utf-8")
+
+
 def test_no_two_stages_share_an_output():
     names = [name for stage in STAGES.values() for name in outputs(stage)]
     assert len(names) == len(set(names))
