@@ -50,4 +50,4 @@ $(MADE): pyproject.toml constraints.txt
 clean:
 	rm -rf $(VENV) .dvc/tmp .dvc/cache dvc.lock study.egg-info .pytest_cache .ruff_cache .hypothesis
 	mkdir -p figures && find figures -mindepth 1 -not -path 'figures/readme*' -delete
-	find study tests benchmarks -name __pycache__ -type d -prune -exec rm -rf {} +
+	find study tests -name __pycache__ -type d -prune -exec rm -rf {} +
