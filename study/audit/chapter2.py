@@ -102,7 +102,7 @@ def intervals_are_scaled_means() -> Finding:
     time = width("A.2", TIME)
     remark = (
         f"From the means of the rounded rows {direct} of {len(table)} columns match; the others are shares "
-        f"left, with two digits a row. {time:.2f} s rounds to {time:.0f} s; the number stated earlier was cut."
+        f"left, with two digits a row. {time:.2f} s rounds to {time:.0f} s; the number stated was cut."
     )
     return Finding("E1", checks, table, remark)
 
