@@ -9,6 +9,7 @@ from typing import Literal
 
 import numpy as np
 import pandas as pd
+from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 from scipy import stats
 
@@ -309,6 +310,22 @@ def save_table(
     """
     with written_whole(path) as temporary:
         rows.to_csv(temporary, index=index, float_format=f"%.{digits}g", lineterminator="\n")
+
+
+def save_figure(figure: Figure, path: str | os.PathLike[str], dpi: int = 150) -> None:
+    """Write a matplotlib figure, whole or not at all; the same figure gives the same bytes.
+
+    Parameters
+    ----------
+    figure : matplotlib.figure.Figure
+        What to write.
+    path : path-like
+        Where, ending in ``.png``; a missing folder is made.
+    dpi : int
+        Dots per inch.
+    """
+    with written_whole(path) as temporary:
+        figure.savefig(temporary, dpi=dpi, metadata={"Software": None})
 
 
 def _sample(values: ArrayLike, name: str, least: int) -> np.ndarray:

@@ -3,6 +3,7 @@ import pandas as pd
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from matplotlib.figure import Figure
 from scipy import stats
 
 from study import tables
@@ -143,3 +144,12 @@ def test_save_table(tmp_path):
     tables.save_table(rows, path)
     assert path.read_bytes() == b"name,value\na,0.33333333\nb,2\n"
     assert [file.name for file in path.parent.iterdir()] == ["rows.csv"]
+
+
+def test_save_figure(tmp_path):
+    figure = Figure(figsize=(2, 1))
+    figure.subplots().plot([0, 1])
+    for name in ("one.png", "other.png"):
+        tables.save_figure(figure, tmp_path / name, dpi=50)
+    assert (tmp_path / "one.png").read_bytes() == (tmp_path / "other.png").read_bytes()
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["one.png", "other.png"]
