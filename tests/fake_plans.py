@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from types import SimpleNamespace
 
 import numpy as np
 
-from study.planners.modified import ModifiedVolume
 from study.volumes import LabelVolume
 
 
@@ -15,7 +15,7 @@ class FakePlan:
     points: np.ndarray
     axes: np.ndarray
     removed: np.ndarray
-    modified: ModifiedVolume
+    modified: SimpleNamespace
     rotation_axis: int = 0
     approach: np.ndarray = field(default_factory=lambda: np.array([0.0, 0.0, -1.0]))
     dof: int = 4
@@ -37,8 +37,7 @@ def fake_plan(voxels, labels=None, spacing=0.4, removed=None, tilt=None, burr_ra
         affine = np.diag([*np.broadcast_to(np.asarray(spacing, float), 3), 1.0])
         affine[:3, 3] = [-7.0, 3.0, 11.0]
     volume = LabelVolume(labels, affine, {"air": 0, "protected": 1, "target": 2})
-    nothing = np.zeros(volume.shape, bool)
-    modified = ModifiedVolume(volume, burr_radius, ~nothing, nothing, nothing, nothing)
+    modified = SimpleNamespace(volume=volume, burr_radius=burr_radius)
     tilt = np.zeros(len(voxels)) if tilt is None else np.asarray(tilt, float)
     removed = np.zeros(len(voxels)) if removed is None else np.asarray(removed, float)
     return FakePlan(

@@ -149,9 +149,12 @@ def test_weighed_removal_replays_the_burr():
     density = rng.uniform(0, 2, labels.shape)
     grid = np.stack(np.meshgrid(*[np.arange(40)] * 3, indexing="ij"), axis=-1)
     left, expected = labels == 2, []
-    for voxel in np.rint(plan.modified.volume.indices(plan.points)).astype(int):
-        gap = np.maximum(np.abs(grid - voxel) - 0.5, 0) * 0.4
-        cut = left & ((gap**2).sum(axis=-1) < 1.3**2)
+    places = plan.modified.volume.indices(plan.points)
+    for before, after in zip(np.vstack([places[:1], places]), places, strict=False):
+        cut = np.zeros_like(left)
+        for share in np.linspace(0, 1, 11):  # the burr sweeps the way from one point to the next
+            gap = np.maximum(np.abs(grid - before - share * (after - before)) - 0.5, 0) * 0.4
+            cut |= left & ((gap**2).sum(axis=-1) < 1.3**2)
         expected.append(density[cut].sum() * 0.4**3)
         left &= ~cut
     np.testing.assert_allclose(weighted_removal(plan, density), expected, rtol=1e-12)

@@ -104,7 +104,7 @@ def relative_density(hounsfield: np.ndarray, bone: float = 1500.0) -> np.ndarray
 
 
 def weighted_removal(plan: Plan, density: np.ndarray) -> np.ndarray:
-    """Bone removed at each point of a plan, every voxel weighed by its relative density.
+    """Bone removed on the way to each point of a plan, every voxel weighed by its relative density.
 
     Parameters
     ----------
@@ -130,12 +130,12 @@ def weighted_removal(plan: Plan, density: np.ndarray) -> np.ndarray:
         raise InputError(
             "density: expected finite relative densities of at least 0 (see relative_density for HU)"
         )
-    voxels = np.rint(volume.indices(plan.points)).astype(np.int64)
+    points = np.ascontiguousarray(volume.indices(plan.points) * volume.spacing)
     sums = _kernels.weight_removed(
         volume.labels,
         volume.names["target"],
         density,
-        voxels,
+        points,
         volume.spacing,
         float(plan.modified.burr_radius),
     )

@@ -247,15 +247,11 @@ def rounding_is_safe(plan: Plan, path: RoundedPath) -> np.ndarray:
     spacing = volume.spacing
     place = (path.points[path.corners[on]] - volume.affine[:3, 3]) @ directions
     voxels = np.rint(place / spacing).astype(np.int64)
-    # Corners that differ only by whole voxels share one list of voxels to look at.
-    describing = np.column_stack(
-        [
-            place - voxels * spacing,
-            path.incoming[on] @ directions,
-            path.outgoing[on] @ directions,
-            path.reaches[on],
-        ]
-    )
+    # Corners that differ only by whole voxels, or by the way along them, share one list of voxels.
+    there, back = path.incoming[on] @ directions, path.outgoing[on] @ directions
+    flip = ((there + back) @ np.array([1.0, np.sqrt(2), np.sqrt(3)]) < -1e-9)[:, None]
+    there, back = np.where(flip, -back, there), np.where(flip, -there, back)
+    describing = np.column_stack([place - voxels * spacing, there, back, path.reaches[on]])
     keys = np.rint(describing * 1e6).astype(np.int64)
     # One integer a row: np.unique over rows sorts by structured comparison, ten times slower.
     mixed = keys @ np.random.default_rng(0).integers(1, 2**61, size=keys.shape[1])
