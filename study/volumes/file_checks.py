@@ -80,7 +80,14 @@ def as_labels(data: np.ndarray, path: Path) -> np.ndarray:
     low, high = data.min(), data.max()
     if low < 0 or high > 255:
         raise FileFormatError(f"{path}: expected labels 0..255, got {low}..{high}")
-    return data.astype(np.uint8)
+    return np.ascontiguousarray(data, dtype=np.uint8)
+
+
+def present_labels(labels: np.ndarray) -> list[int]:
+    """Sorted values of a uint8 array; ``np.unique`` would sort every voxel."""
+    seen = np.zeros(256, bool)
+    seen[labels.ravel(order="K")] = True
+    return np.flatnonzero(seen).tolist()
 
 
 def volume_from_file(
@@ -109,7 +116,7 @@ def names_from_json(text: str, path: Path) -> dict[str, int]:
     with parsing(path, "label names as JSON"):
         names = json.loads(text)
     if not isinstance(names, dict) or not all(
-        isinstance(value, int) and 0 <= value <= 255 for value in names.values()
+        type(value) is int and 0 <= value <= 255 for value in names.values()
     ):
         raise FileFormatError(f"{path}: expected label names as name -> 0..255, got {text}")
     return names

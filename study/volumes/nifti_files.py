@@ -17,6 +17,7 @@ from study.volumes.file_checks import (
     names_from_json,
     names_to_json,
     parsing,
+    present_labels,
     volume_from_file,
 )
 from study.volumes.label_volume import LabelVolume, default_names
@@ -52,7 +53,7 @@ def read_nifti(path: Path, names: Mapping[str, int] | None = None) -> LabelVolum
     if names is not None:
         found = names
     elif found is None:
-        found = default_names(np.unique(labels))
+        found = default_names(present_labels(labels))
     return volume_from_file(path, labels, affine, found)
 
 

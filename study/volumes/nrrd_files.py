@@ -19,6 +19,7 @@ from study.volumes.file_checks import (
     names_from_json,
     names_to_json,
     parsing,
+    present_labels,
     volume_from_file,
 )
 from study.volumes.label_volume import LabelVolume, default_names
@@ -63,7 +64,7 @@ def read_nrrd(path: Path, names: Mapping[str, int] | None = None) -> LabelVolume
         if found is None or not _agree(found, of_segments):
             found = of_segments
     elif found is None:
-        found = default_names(np.unique(labels))
+        found = default_names(present_labels(labels))
     return volume_from_file(path, labels, affine, found if names is None else names)
 
 
@@ -155,6 +156,9 @@ def _geometry(header: Mapping[str, Any], path: Path) -> tuple[list[int], np.ndar
     origin = np.asarray(header.get("space origin", np.zeros(3)), dtype=float)
     if origin.shape != (3,):
         raise GeometryError(f"{path}: expected a space origin of three numbers, got {origin.tolist()}")
+    for what, numbers in (("space directions or spacings", vectors), ("a space origin", origin)):
+        if not np.isfinite(numbers).all():
+            raise GeometryError(f"{path}: expected {what} of finite numbers, got {numbers.tolist()}")
     affine = np.eye(4)
     frame = _frame_to_lps(header.get("space", "left-posterior-superior"), path)
     units = _units_in_mm(header.get("space units", ["mm"] * 3), path)

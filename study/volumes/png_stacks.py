@@ -14,7 +14,7 @@ from PIL import Image
 
 from study.errors import FileFormatError, GeometryError, InputError, LabelError
 from study.volumes.colours import ColourTable, colour_code, label_of_colours
-from study.volumes.file_checks import parsing
+from study.volumes.file_checks import parsing, present_labels
 from study.volumes.label_volume import LabelVolume
 
 _OURS = re.compile(r"slice_\d{4,}\.png")
@@ -122,7 +122,7 @@ def write_png_stack(volume: LabelVolume, folder: str | os.PathLike[str], colours
         label: (name, colour)
         for name, label, colour in zip(colours.names, colours.labels, colours.colours, strict=True)
     }
-    for value in np.unique(volume.labels).tolist():
+    for value in present_labels(volume.labels):
         if value == 0:
             continue
         own = [name for name, label in volume.names.items() if label == value]

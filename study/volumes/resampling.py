@@ -9,6 +9,7 @@ import numpy as np
 from scipy import sparse
 
 from study.errors import GeometryError, InputError
+from study.volumes.file_checks import present_labels
 from study.volumes.label_volume import LabelVolume
 
 # Shares of labels that differ by less than this are a tie (they are sums in single precision).
@@ -79,7 +80,7 @@ def resampled(
         return LabelVolume(volume.labels[np.ix_(*centres)], affine, volume.names)
     weights = [(_linear if method == "smooth" else _shares)(o, n) for o, n in zip(old, new, strict=True)]
     first = [volume.names[name] for name in priority]
-    rest = [value for value in np.unique(volume.labels).tolist() if value not in first]
+    rest = [value for value in present_labels(volume.labels) if value not in first]
     order = first + sorted(rest, key=lambda value: (value == 0, value))
     labels = np.zeros(new, np.uint8)
     best = np.zeros(new, np.float32)

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from study.errors import FileFormatError
+from study.volumes.file_checks import present_labels
 from study.volumes.label_volume import LabelVolume
 
 _FIELD = re.compile(r"Segment(\d+)_(ID|Name|LabelValue|Layer)")
@@ -143,7 +144,7 @@ def names_of_segments(segments: Sequence[Segment], labels: np.ndarray) -> dict[s
     names = {segment.name: segment.value for segment in segments}
     if 0 not in names.values():
         names = {("background" if "air" in names else "air"): 0, **names}
-    for value in np.unique(labels).tolist():
+    for value in present_labels(labels):
         if value not in names.values():
             names[f"label_{value}"] = value
     return names
@@ -169,7 +170,7 @@ def segment_fields(
     named: dict[int, str] = {}
     for name, value in volume.names.items():
         named.setdefault(value, name)
-    for value in np.unique(volume.labels).tolist():
+    for value in present_labels(volume.labels):
         named.setdefault(value, f"label_{value}")
     # Slicer cuts a whole layer to the extent of the first segment in it, so all have the whole image's.
     extent = " ".join(f"0 {size - 1}" for size in volume.shape)

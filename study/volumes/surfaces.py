@@ -33,7 +33,7 @@ def surface(volume: LabelVolume, name: str | Sequence[str], smooth_mm: float = 0
         One label, or several taken together.
     smooth_mm : float
         Standard deviation in mm of a Gaussian that smooths the voxel steps first. It rounds edges and
-        shrinks what is convex; 0 leaves the steps.
+        shrinks what is convex (a ball of radius r by about ``smooth_mm**2 / r``); 0 leaves the steps.
 
     Returns
     -------
