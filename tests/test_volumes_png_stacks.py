@@ -28,7 +28,8 @@ TABLE = ColourTable(("bone", "nerve", "dura"), (1, 10, 3), ((255, 249, 219), (24
 PRIORITY = ("nerve", "dura", "bone")
 # The colours of the public temporal bones, from the README beside the real data.
 REAL_COLOURS = """Bone 255 249 219, Malleus 233 0 255, Incus 0 255 149, Stapes 63 0 255,
-Bony_Labyrinth 91 123 91, IAC 244 142 52, Superior_Vestibular_Nerve 255 191 135, Inferior_Vestibular_Nerve 121 70 24,
+Bony_Labyrinth 91 123 91, IAC 244 142 52, Superior_Vestibular_Nerve 255 191 135,
+Inferior_Vestibular_Nerve 121 70 24,
 Cochlear_Nerve 219 244 52, Facial_Nerve 244 214 49, Chorda_Tympani 151 131 29, ICA 216 100 79,
 Sinus_Dura 110 184 209, Vestibular_Aqueduct 91 98 123, TMJ 100 0 0, EAC 255 225 214"""
 REAL_RANKS = """Chorda_Tympani Facial_Nerve Stapes Malleus Incus Cochlear_Nerve Superior_Vestibular_Nerve
