@@ -58,7 +58,7 @@ def test_speeds_stay_within_the_limits_and_a_stronger_drill_is_never_slower(seed
     assert milling.speeds.min() >= 0.5
     assert milling.speeds.max() <= 5.0
     assert milling.mean_speed_mm_per_s <= 5.0
-    stronger = milling.with_feed(FeedSettings(removal_rate=2 * rate))
+    stronger = predict_milling(plan, feed=FeedSettings(removal_rate=2 * rate))
     assert stronger.time_s <= milling.time_s + 1e-9
 
 
@@ -177,14 +177,13 @@ def test_hounsfield_units_become_relative_density():
 
 
 def test_the_feed_constant_is_recovered_from_the_speed_it_gives():
-    plans = [busy_plan(seed) for seed in range(3)]
-    speed = np.mean(
-        [predict_milling(p, feed=FeedSettings(removal_rate=2.7)).mean_speed_mm_per_s for p in plans]
-    )
-    assert fit_feed_constant(plans, speed) == pytest.approx(2.7, rel=1e-6)
+    millings = [predict_milling(busy_plan(seed), feed=FeedSettings(removal_rate=2.7)) for seed in range(3)]
+    speed = np.mean([milling.mean_speed_mm_per_s for milling in millings])
+    motions = [milling.motion for milling in millings]
+    assert fit_feed_constant(motions, speed) == pytest.approx(2.7, rel=1e-6)
     with pytest.raises(InputError, match="printed_mean_speed"):
-        fit_feed_constant(plans, 5.5)
-    with pytest.raises(InputError, match="plans"):
+        fit_feed_constant(motions, 5.5)
+    with pytest.raises(InputError, match="motions"):
         fit_feed_constant([], 3.7)
 
 

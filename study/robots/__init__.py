@@ -3,7 +3,7 @@
 from study.robots.ansr import Ansr
 from study.robots.feed import FeedSettings, relative_density
 from study.robots.fitting import fit_feed_constant
-from study.robots.milling import Milling, predict_milling
+from study.robots.milling import Milling, Motion, predict_milling
 from study.robots.rounding import RoundedPath, RoundingSettings, round_corners, rounding_is_safe
 from study.robots.trajectory import JointTrajectory
 
@@ -12,6 +12,7 @@ __all__ = [
     "FeedSettings",
     "JointTrajectory",
     "Milling",
+    "Motion",
     "RoundedPath",
     "RoundingSettings",
     "fit_feed_constant",

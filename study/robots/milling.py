@@ -20,6 +20,34 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False)
+class Motion:
+    """What the feed rate acts on: the steps between planned points.
+
+    Attributes
+    ----------
+    lengths : (m,) array
+        mm of rounded path in each step; 0 where the drill rotates in place.
+    removed : (m,) array
+        mm^3 of bone of relative density 1 removed in each step.
+    turning_times : (m,) array
+        Seconds the rotation of each step takes at least.
+    """
+
+    lengths: np.ndarray
+    removed: np.ndarray
+    turning_times: np.ndarray
+
+    def times(self, feed: FeedSettings) -> np.ndarray:
+        """(m,) seconds of each step: of its travel or its rotation, whichever takes longer."""
+        return np.maximum(self.lengths / feed.speeds(self.removed, self.lengths), self.turning_times)
+
+    def mean_speed(self, feed: FeedSettings) -> float:
+        """Length over time, mm/s; 0 for a motion that takes no time."""
+        time = float(self.times(feed).sum())
+        return float(self.lengths.sum()) / time if time > 0 else 0.0
+
+
+@dataclass(frozen=True, eq=False)
 class Milling:
     """What a robot makes of a plan.
 
@@ -44,20 +72,20 @@ class Milling:
     tilt: np.ndarray
 
     @cached_property
-    def step_lengths(self) -> np.ndarray:
-        """(n - 1,) mm of rounded path between planned points."""
-        return np.diff(self.path.rounded_s)
+    def motion(self) -> Motion:
+        """The steps between planned points."""
+        turning = np.abs(np.diff(self.tilt)) / np.deg2rad(self.robot.max_tilt_speed_deg)
+        return Motion(np.diff(self.path.rounded_s), self.removed[1:], turning)
 
-    @cached_property
+    @property
     def speeds(self) -> np.ndarray:
         """(n - 1,) mm/s the feed rate allows in each step."""
-        return self.feed.speeds(self.removed[1:], self.step_lengths)
+        return self.feed.speeds(self.motion.removed, self.motion.lengths)
 
     @cached_property
     def step_times(self) -> np.ndarray:
-        """(n - 1,) seconds of each step: of its travel or its rotation, whichever takes longer."""
-        turning = np.abs(np.diff(self.tilt)) / np.deg2rad(self.robot.max_tilt_speed_deg)
-        return np.maximum(self.step_lengths / self.speeds, turning)
+        """(n - 1,) seconds of each step."""
+        return self.motion.times(self.feed)
 
     @property
     def path_length_mm(self) -> float:
@@ -77,16 +105,12 @@ class Milling:
     @property
     def rotation_time_s(self) -> float:
         """Seconds in which the burr stands and the drill turns."""
-        return float(self.step_times[self.step_lengths == 0].sum())
+        return float(self.step_times[self.motion.lengths == 0].sum())
 
     @cached_property
     def trajectory(self) -> JointTrajectory:
         """Joints over time."""
         return joint_trajectory(self.path, self.plan.axes, self.step_times, self.robot)
-
-    def with_feed(self, feed: FeedSettings) -> Milling:
-        """The same milling at another feed rate."""
-        return Milling(self.plan, self.robot, feed, self.path, self.removed, self.tilt)
 
     def summary(self) -> pd.Series:
         """The columns of tables A.1 and A.2 that the robot decides (lengths truly in mm)."""
