@@ -18,6 +18,7 @@ from study.volumes.label_volume import LabelVolume
 
 _HEADER = b"study label surface; SPACE=LPS; unit mm"
 _MOST_VOXELS = 2**31
+_FARTHEST = 1e6  # mm; merging equal corners works on integers and must not overflow
 _OFF_LEVEL = 1e-3
 # Voxels; decides about centres on the surface, above the tolerance of VTK's scan conversion (2^-17).
 _NUDGE = 1e-4
@@ -117,7 +118,8 @@ def read_surface(path: str | os.PathLike[str]) -> trimesh.Trimesh:
     FileNotFoundError
         If there is no such file.
     FileFormatError
-        If it is not an STL file, is truncated, has no triangle, or a coordinate is not finite.
+        If it is not an STL file, is truncated, has no triangle, or a coordinate is not finite or more
+        than a kilometre.
     """
     path = existing_file(path)
     if path.suffix.lower() != ".stl":
@@ -127,8 +129,9 @@ def read_surface(path: str | os.PathLike[str]) -> trimesh.Trimesh:
         vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
     if len(faces) == 0:
         raise FileFormatError(f"{path}: expected an STL file with triangles, got none")
-    if not np.isfinite(vertices).all():
-        raise FileFormatError(f"{path}: expected finite coordinates, got NaN or infinity")
+    if not (np.abs(vertices) < _FARTHEST).all():
+        worst = vertices[~(np.abs(vertices) < _FARTHEST)][0]
+        raise FileFormatError(f"{path}: expected coordinates within {_FARTHEST:g} mm, got {worst}")
     with path.open("rb") as stream:
         header = stream.read(256)
     if b"SPACE=RAS" in header:
