@@ -117,8 +117,11 @@ def test_bad_stl_files(tmp_path):
     good = tmp_path / "good.stl"
     write_surface(trimesh.creation.icosphere(subdivisions=1), good)
     content = good.read_bytes()
-    infinite = bytearray(content)
-    infinite[84 + 12 : 84 + 16] = np.float32(np.nan).tobytes()
+    absurd = []
+    for number in (np.nan, np.inf, 1e30):
+        changed = bytearray(content)
+        changed[84 + 12 : 84 + 16] = np.float32(number).tobytes()
+        absurd.append(bytes(changed))
     empty = content[:80] + bytes(4)
     for bad in (
         b"",
@@ -126,7 +129,7 @@ def test_bad_stl_files(tmp_path):
         b"solid\nendsolid\n",
         content[:-7],
         content[:200],
-        bytes(infinite),
+        *absurd,
         empty,
     ):
         (tmp_path / "bad.stl").write_bytes(bad)
