@@ -2,7 +2,8 @@
 
 ``python benchmarks/fit_feed.py [specimens]`` takes ``all`` (the default), a number, or names. It prints
 the removal rate at which the zigzag plans average the printed speed of table A.1, which belongs in
-`study.robots.FeedSettings`, and the speed of the 3-D plans at that rate, which is fitted to nothing.
+`study.robots.FeedSettings`, the speed of the 3-D plans at that rate, which is fitted to nothing, and
+what other laws between bone and speed would say.
 """
 
 from __future__ import annotations
@@ -11,9 +12,12 @@ import sys
 from dataclasses import replace
 from functools import partial
 
+import numpy as np
+
 from study import published
 from study.appendix import motion_of, over_specimens, select_specimens
 from study.robots import FeedSettings, fit_feed_constant
+from study.robots.feed_laws import LAWS
 from study.tables import t_interval, with_interval
 
 
@@ -34,6 +38,21 @@ def main() -> int:
         speeds = [motion.mean_speed(fitted) for motion in motions[strategy]]
         role = "fitted" if strategy == "zigzag" else "predicted"
         print(f"{strategy}: {with_interval(t_interval(speeds), 'mm/s')} {role}, printed {speed:.2f} mm/s")
+    print("\nOther laws, each fitted to the same zigzag speed (study.robots.feed_laws):")
+    for name, law in LAWS.items():
+        feed = law()
+        feed = replace(
+            feed, removal_rate=fit_feed_constant(motions["zigzag"], round(printed["zigzag"], 1), feed)
+        )
+        times = {
+            strategy: np.mean([motion.times(feed).sum() for motion in motions[strategy]])
+            for strategy in motions
+        }
+        speed = t_interval([motion.mean_speed(feed) for motion in motions["3d"]])
+        print(
+            f"{name:13s} 3-D {with_interval(speed, 'mm/s')}, "
+            f"3-D time against zigzag {100 * (times['3d'] / times['zigzag'] - 1):+.1f} %"
+        )
     return 0
 
 

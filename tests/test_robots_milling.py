@@ -17,6 +17,7 @@ from study.robots import (
     relative_density,
 )
 from study.robots.feed import weighted_removal
+from study.robots.feed_laws import LAWS
 
 
 def busy_plan(seed, steps=300, labels=None):
@@ -185,6 +186,19 @@ def test_the_feed_constant_is_recovered_from_the_speed_it_gives():
         fit_feed_constant(motions, 5.5)
     with pytest.raises(InputError, match="motions"):
         fit_feed_constant([], 3.7)
+
+
+@pytest.mark.parametrize("law", LAWS.values(), ids=list(LAWS))
+def test_every_law_keeps_the_limits_slows_down_in_bone_and_can_be_fitted(law):
+    amounts = np.linspace(0, 50, 200)
+    speeds = law(removal_rate=2.0).speeds(amounts, np.ones(200))
+    assert speeds[0] == 5.0
+    assert speeds.min() >= 0.5
+    assert speeds[-1] < 5.0
+    assert (np.diff(speeds) <= 1e-12).all()
+    motions = [predict_milling(busy_plan(seed)).motion for seed in range(2)]
+    target = np.mean([motion.mean_speed(law(removal_rate=1.7)) for motion in motions])
+    assert fit_feed_constant(motions, target, law()) == pytest.approx(1.7, rel=1e-6)
 
 
 @pytest.mark.parametrize(
