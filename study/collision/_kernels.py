@@ -16,13 +16,24 @@ import numba as nb
 import numpy as np
 
 
+ONE = np.uint64(1)
+ALL = np.uint64(0xFFFFFFFFFFFFFFFF)
+DE_BRUIJN = np.uint64(0x03F79D71B4CB0A89)
+BIT_INDEX = np.zeros(64, np.int64)
+for _bit in range(64):
+    BIT_INDEX[((1 << _bit) * int(DE_BRUIJN) & int(ALL)) >> 58] = _bit
+
+
 class Shaft(NamedTuple):
     """What the window of accessible angles is computed from (arrays change as bone is removed)."""
 
     slab: np.ndarray  # uint8 [3, layer, depth, lateral]: solid voxels in the slab of each cylinder
-    rows: np.ndarray  # int32 [3, layer, depth]: occupied cells in a row of the collapsed slab
+    bits: np.ndarray  # uint64 [3, layer, depth, word]: cells of the collapsed slab that are occupied
+    outermost: np.ndarray  # int64 [3, layer]: depth of the outermost occupied row of the slab at first
     low: np.ndarray  # float64 [3, row, lateral offset >= 0]: angular interval a cell blocks
     high: np.ndarray
+    near: np.ndarray  # int64 [3, row]: lateral offset from which on cells of the row block at all
+    valley: np.ndarray  # int64 [3, row]: lateral offset at which `low` is least
     half: np.ndarray  # int64 [3]: layers on each side of the middle one that a slab holds
     radius: np.ndarray  # float64 [3] mm, widened by the sweep between neighbouring positions
     start: np.ndarray  # float64 [3] mm
@@ -87,6 +98,8 @@ def interval_tables(shape, inward, half, radius, start, step_layer, step_depth, 
     n_rows, n_lateral = shape
     low = np.full((3, n_rows, n_lateral), inf)
     high = np.full((3, n_rows, n_lateral), -inf)
+    near = np.full((3, n_rows), n_lateral)
+    valley = np.full((3, n_rows), n_lateral - 1)
     limit = burr_radius * burr_radius * (1 - 1e-12)
     for i in range(3):
         across = max(0.0, half[i] - 0.5) * step_layer
@@ -102,35 +115,45 @@ def interval_tables(shape, inward, half, radius, start, step_layer, step_depth, 
                     u - step_depth / 2, u + step_depth / 2, w - step_lateral / 2, w + step_lateral / 2,
                     start[i], radius[i],
                 )  # fmt: skip
-    return low, high
+                if low[i, row, m] != inf:
+                    near[i, row] = min(near[i, row], m)
+                    if low[i, row, m] < low[i, row, valley[i, row]]:
+                        valley[i, row] = m
+    return low, high, near, valley
 
 
 @nb.njit(cache=True)
-def collapse_slabs(solid, half, slab, rows):
-    """Count solid voxels of every slab by a running sum over the layers."""
+def collapse_slabs(solid, half, slab, bits, outermost):
+    """Count solid voxels of every slab by a running sum over the layers; set a bit where there are any."""
     n_layer, n_depth, n_lateral = solid.shape
-    slab[:] = 0
-    rows[:] = 0
+    outermost[:] = n_depth
     running = np.zeros((n_depth, n_lateral), np.uint8)
     for i in range(3):
         reach = half[i]
         running[:] = 0
         for layer in range(-reach, n_layer):
             enter, leave = layer + reach, layer - reach - 1
-            for d in range(n_depth):
-                for b in range(n_lateral):
-                    if enter < n_layer and solid[enter, d, b] != 0:
-                        running[d, b] += 1
-                    if leave >= 0 and solid[leave, d, b] != 0:
-                        running[d, b] -= 1
-            if layer >= 0:
+            if enter < n_layer:
                 for d in range(n_depth):
-                    filled = 0
                     for b in range(n_lateral):
-                        slab[i, layer, d, b] = running[d, b]
-                        if running[d, b] != 0:
-                            filled += 1
-                    rows[i, layer, d] = filled
+                        running[d, b] += solid[enter, d, b] != 0
+            if leave >= 0:
+                for d in range(n_depth):
+                    for b in range(n_lateral):
+                        running[d, b] -= solid[leave, d, b] != 0
+            if layer < 0:
+                continue
+            for d in range(n_depth):
+                word = np.uint64(0)
+                for b in range(n_lateral):
+                    slab[i, layer, d, b] = running[d, b]
+                    if running[d, b] != 0:
+                        word |= ONE << np.uint64(b & 63)
+                    if b & 63 == 63 or b == n_lateral - 1:
+                        bits[i, layer, d, b >> 6] = word
+                        if word != 0:
+                            outermost[i, layer] = min(outermost[i, layer], d)
+                        word = np.uint64(0)
 
 
 @nb.njit(cache=True)
@@ -140,41 +163,63 @@ def remove_from_slabs(shaft, layer, depth, lateral):
     for i in range(3):
         reach = shaft.half[i]
         for m in range(max(0, layer - reach), min(n_layer, layer + reach + 1)):
-            shaft.slab[i, m, depth, lateral] -= 1
-            if shaft.slab[i, m, depth, lateral] == 0:
-                shaft.rows[i, m, depth] -= 1
+            left = shaft.slab[i, m, depth, lateral] - np.uint8(1)
+            shaft.slab[i, m, depth, lateral] = left
+            if left == 0:
+                shaft.bits[i, m, depth, lateral >> 6] &= ~(ONE << np.uint64(lateral & 63))
 
 
 @nb.njit(cache=True)
-def _subtract(gap_low, gap_high, n, low, high, min_width, current_low, current_high, min_overlap):
-    """Take [low, high] out of the gaps; drop gaps too narrow or with too little overlap. New count."""
+def _lowest_bit(word):
+    """Index of the lowest set bit of a non-zero word, by a de Bruijn product."""
+    return BIT_INDEX[((word & (~word + ONE)) * DE_BRUIJN) >> np.uint64(58)]
+
+
+@nb.njit(cache=True)
+def _subtract(gaps, n, low, high, min_width, current_low, current_high, min_overlap):
+    """Take [low, high] out of the first n gaps; drop what is too narrow or overlaps too little. New n.
+
+    ``gaps[0]`` and ``gaps[1]`` hold the gaps' ends in order, the other two rows are scratch.
+    """
     kept = 0
-    pieces_low = np.empty(2)
-    pieces_high = np.empty(2)
-    fresh_low = np.empty(gap_low.size)
-    fresh_high = np.empty(gap_low.size)
     for g in range(n):
-        a, z = gap_low[g], gap_high[g]
-        pieces = 0
-        if high <= a or low >= z:
-            pieces_low[0], pieces_high[0] = a, z
-            pieces = 1
-        else:
-            if low > a:
-                pieces_low[pieces], pieces_high[pieces] = a, low
-                pieces += 1
-            if high < z:
-                pieces_low[pieces], pieces_high[pieces] = high, z
-                pieces += 1
-        for p in range(pieces):
-            a, z = pieces_low[p], pieces_high[p]
+        for side in range(2):
+            a, z = gaps[0, g], gaps[1, g]
+            if high <= a or low >= z:
+                if side == 1:
+                    continue
+            elif side == 0:
+                z = low
+            else:
+                a = high
             overlap = min(z, current_high) - max(a, current_low)
-            if z - a >= min_width and overlap >= min_overlap and kept < fresh_low.size:
-                fresh_low[kept], fresh_high[kept] = a, z
+            if z > a and z - a >= min_width and overlap >= min_overlap and kept < gaps.shape[1]:
+                gaps[2, kept], gaps[3, kept] = a, z
                 kept += 1
     for g in range(kept):
-        gap_low[g], gap_high[g] = fresh_low[g], fresh_high[g]
+        gaps[0, g], gaps[1, g] = gaps[2, g], gaps[3, g]
     return kept
+
+
+@nb.njit(cache=True)
+def _run_interval(shaft, i, row, first, last):
+    """Interval blocked by a row's cells from lateral offset `first` to `last`; (inf, -inf) if none.
+
+    Going sideways, cells block from offset `near` on; their upper end grows, their lower end falls to
+    offset `valley` (as far as the strip's front corner decides) and grows from there. So the ends of
+    the run and the valley decide; negative offsets are the mirror image.
+    """
+    low, high = inf, -inf
+    near, valley = shaft.near[i, row], shaft.valley[i, row]
+    a = max(first, near)
+    if a <= last:
+        low = shaft.low[i, row, min(max(valley, a), last)]
+        high = shaft.high[i, row, last]
+    a = max(-last, near)
+    if a <= -first:
+        low = min(low, -shaft.high[i, row, -first])
+        high = max(high, -shaft.low[i, row, min(max(valley, a), -first)])
+    return low, high
 
 
 @nb.njit(cache=True)
@@ -184,9 +229,8 @@ def accessible_window(shaft, layer, depth, lateral, current_low, current_high, m
     Returns (accessible, low, high). A voxel is accessible when such a range is at least `min_width`
     wide and overlaps ``[current_low, current_high]`` by at least `min_overlap` (2.3.3).
     """
-    gap_low = np.empty(24)
-    gap_high = np.empty(24)
-    gap_low[0], gap_high[0] = -shaft.max_tilt, shaft.max_tilt
+    gaps = np.empty((4, 24))
+    gaps[0, 0], gaps[1, 0] = -shaft.max_tilt, shaft.max_tilt
     n = 1
     overlap = min(shaft.max_tilt, current_high) - max(-shaft.max_tilt, current_low)
     if 2 * shaft.max_tilt < min_width or overlap < min_overlap:
@@ -198,48 +242,53 @@ def accessible_window(shaft, layer, depth, lateral, current_low, current_high, m
         # No row closer than this is touched at any tilt that is left.
         nearest = shaft.start[i] * cos(shaft.max_tilt) - radius * sin(shaft.max_tilt)
         first = max(-shaft.inward, int(floor((nearest - half_depth) / shaft.step_depth)))
-        tan_low, tan_high = tan(gap_low[0]), tan(gap_high[n - 1])
-        wide_low, wide_high = radius / cos(gap_low[0]), radius / cos(gap_high[n - 1])
-        for row in range(first, depth + 1):
-            if shaft.rows[i, layer, depth - row] == 0:
-                continue
+        tan_low, tan_high = tan(gaps[0, 0]), tan(gaps[1, n - 1])
+        wide_low, wide_high = radius / cos(gaps[0, 0]), radius / cos(gaps[1, n - 1])
+        for row in range(first, depth + 1 - shaft.outermost[i, layer]):
+            d, r = depth - row, row + shaft.inward
             u = row * shaft.step_depth
             u0, u1 = u - half_depth, u + half_depth
             left = min(u0 * tan_low, u1 * tan_low) - wide_low - half_lateral
             right = max(u0 * tan_high, u1 * tan_high) + wide_high + half_lateral
-            m = max(-lateral, int(floor(left / shaft.step_lateral)))
-            last = min(n_lateral - 1 - lateral, int(ceil(right / shaft.step_lateral)))
-            cells = shaft.slab[i, layer, depth - row]
-            lows, highs = shaft.low[i, row + shaft.inward], shaft.high[i, row + shaft.inward]
+            cell_from = max(0, lateral + int(floor(left / shaft.step_lateral)))
+            cell_to = min(n_lateral - 1, lateral + int(ceil(right / shaft.step_lateral)))
+            if cell_from > cell_to:
+                continue
             changed = False
-            while m <= last:
-                if cells[lateral + m] == 0:
-                    m += 1
+            for w in range(cell_from >> 6, (cell_to >> 6) + 1):
+                word = shaft.bits[i, layer, d, w]
+                if word == 0:
                     continue
-                # A run of occupied cells blocks one interval: neighbours' intervals overlap.
-                low, high = inf, -inf
-                while m <= last and cells[lateral + m] != 0:
-                    if m >= 0:
-                        low, high = min(low, lows[m]), max(high, highs[m])
+                if w == cell_from >> 6:
+                    word &= ALL << np.uint64(cell_from & 63)
+                if w == cell_to >> 6:
+                    word &= ALL >> np.uint64(63 - (cell_to & 63))
+                while word != 0:
+                    # A run of occupied cells blocks one interval: neighbours' intervals overlap.
+                    begin = _lowest_bit(word)
+                    rest = ~(word >> np.uint64(begin))
+                    size = _lowest_bit(rest) if rest != 0 else 64
+                    if begin + size >= 64:
+                        word = np.uint64(0)
                     else:
-                        low, high = min(low, -highs[-m]), max(high, -lows[-m])
-                    m += 1
-                if low < high:
-                    n = _subtract(
-                        gap_low, gap_high, n, low, high, min_width, current_low, current_high, min_overlap
-                    )
+                        word &= ALL << np.uint64(begin + size)
+                    cell = w * 64 + begin - lateral
+                    low, high = _run_interval(shaft, i, r, cell, cell + size - 1)
+                    if low >= gaps[1, n - 1] or high <= gaps[0, 0]:
+                        continue
+                    n = _subtract(gaps, n, low, high, min_width, current_low, current_high, min_overlap)
                     if n == 0:
                         return False, 0.0, 0.0
                     changed = True
             if changed:
-                tan_low, tan_high = tan(gap_low[0]), tan(gap_high[n - 1])
-                wide_low, wide_high = radius / cos(gap_low[0]), radius / cos(gap_high[n - 1])
+                tan_low, tan_high = tan(gaps[0, 0]), tan(gaps[1, n - 1])
+                wide_low, wide_high = radius / cos(gaps[0, 0]), radius / cos(gaps[1, n - 1])
     best, best_overlap = 0, -inf
     for g in range(n):
-        overlap = min(gap_high[g], current_high) - max(gap_low[g], current_low)
+        overlap = min(gaps[1, g], current_high) - max(gaps[0, g], current_low)
         if overlap > best_overlap:
             best, best_overlap = g, overlap
-    return True, gap_low[best], gap_high[best]
+    return True, gaps[0, best], gaps[1, best]
 
 
 @nb.njit(cache=True)
@@ -256,14 +305,17 @@ def pose_is_free(shaft, layer, depth, lateral, theta):
         far = max(layer - (l0 - shaft.half[i]), l1 + shaft.half[i] - layer)
         far = max(0.0, far - 0.5) * shaft.step_layer
         deepest = int(floor(depth + (radius * abs(s) - start * c) / shaft.step_depth + 1))
-        for d in range(min(deepest, n_depth - 1), -1, -1):
+        top = min(
+            shaft.outermost[i, max(0, min(l0, n_layer - 1))], shaft.outermost[i, max(0, min(l1, n_layer - 1))]
+        )
+        for d in range(min(deepest, n_depth - 1), top - 1, -1):
             u = (depth - d) * shaft.step_depth
             centre = u * s / c
             width = (radius + across) / c
             b0 = max(0, int(ceil(lateral + (centre - width) / shaft.step_lateral)))
             b1 = min(n_lateral - 1, int(floor(lateral + (centre + width) / shaft.step_lateral)))
             for layer_index in (l0, l1):
-                if not 0 <= layer_index < n_layer or shaft.rows[i, layer_index, d] == 0:
+                if not 0 <= layer_index < n_layer:
                     continue
                 for b in range(b0, b1 + 1):
                     if shaft.slab[i, layer_index, d, b] == 0:

@@ -26,12 +26,10 @@ def _tables(drill: Drill, steps: tuple[float, float, float], max_tilt: float, re
     rows = inward + int(np.ceil(reach_mm / step_depth)) + 2
     widest = reach_mm * np.tan(max_tilt) + radius.max() / np.cos(max_tilt)
     laterals = int(np.ceil(widest / step_lateral)) + 3
-    low, high = _kernels.interval_tables(
+    tables = _kernels.interval_tables(
         (rows, laterals), inward, half, radius, start, step_layer, step_depth, step_lateral, drill.burr_radius
     )
-    for array in (half, radius, start, low, high):
-        array.flags.writeable = True
-    return half, radius, start, inward, low, high
+    return half, radius, start, inward, tables
 
 
 def build_shaft(solid: np.ndarray, steps: np.ndarray, drill: Drill, max_tilt: float) -> _kernels.Shaft:
@@ -59,17 +57,18 @@ def build_shaft(solid: np.ndarray, steps: np.ndarray, drill: Drill, max_tilt: fl
     """
     steps = np.asarray(steps, dtype=float)
     reach_mm = float(np.ceil(solid.shape[1] * steps[1] / 8) * 8)  # rounded, so that the tables can be reused
-    half, radius, start, inward, low, high = _tables(drill, tuple(steps.tolist()), float(max_tilt), reach_mm)
+    half, radius, start, inward, tables = _tables(drill, tuple(steps.tolist()), float(max_tilt), reach_mm)
     if 2 * half.max() + 1 > 255:
         raise InputError(
             f"spacing: expected voxels of at least {2 * radius.max() / 253:.3f} mm along the rotation axis "
             f"for a shaft of {2 * drill.cylinders[-1][0]:g} mm, got {steps[0]:g} mm"
         )
     slab = np.empty((3, *solid.shape), np.uint8)
-    rows = np.empty((3, *solid.shape[:2]), np.int32)
-    _kernels.collapse_slabs(solid, half, slab, rows)
+    bits = np.empty((3, *solid.shape[:2], (solid.shape[2] + 63) // 64), np.uint64)
+    outermost = np.empty((3, solid.shape[0]), np.int64)
+    _kernels.collapse_slabs(solid, half, slab, bits, outermost)
     return _kernels.Shaft(
-        slab, rows, low, high, half, radius, start, inward,
+        slab, bits, outermost, *tables, half, radius, start, inward,
         float(steps[0]), float(steps[1]), float(steps[2]), float(drill.burr_radius), float(max_tilt),
     )  # fmt: skip
 

@@ -57,9 +57,7 @@ def write_markups(plan: Plan, path: str | Path, name: str) -> None:
                     }
                     for number, row in enumerate(corners)
                 ],
-                "measurements": [
-                    {"name": "length", "enabled": True, "value": plan.length_mm, "units": "mm"}
-                ],
+                "measurements": [{"name": "length", "enabled": True, "value": plan.length_mm, "units": "mm"}],
                 "display": {"visibility": True, "lineThickness": 0.2, "curveType": "linear"},
             }
         ],

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy import ndimage
@@ -30,8 +31,6 @@ class ModifiedVolume:
     boundary : bool array
         The targeted bone boundary (2.2.5): targeted voxels that share a face with solid voxels
         outside the modified target. Only the supervoxel's centre clears them.
-    unreachable : bool array
-        Targeted bone of the unmodified volume that no allowed position of this burr reaches.
     """
 
     volume: LabelVolume
@@ -39,7 +38,12 @@ class ModifiedVolume:
     allowed: np.ndarray
     target: np.ndarray
     boundary: np.ndarray
-    unreachable: np.ndarray
+
+    @cached_property
+    def unreachable(self) -> np.ndarray:
+        """Target voxels of the unmodified volume that no allowed position of this burr reaches (figure 2.3)."""
+        reached = overlapped_by_ball(self.allowed, self.burr_radius, self.volume.spacing)
+        return self.volume.mask("target") & ~reached
 
     @property
     def target_cm3(self) -> float:
@@ -141,7 +145,6 @@ def modified_volume(volume: LabelVolume, burr_radius: float) -> ModifiedVolume:
     solid_outside = ~modified & ~air_box
     faces = ndimage.generate_binary_structure(3, 1)
     boundary = modified & ndimage.binary_dilation(solid_outside, faces)
-    unreachable = target_box & ~overlapped_by_ball(allowed, burr_radius, spacing)
 
     def whole(part: np.ndarray) -> np.ndarray:
         out = np.zeros(volume.shape, dtype=bool)
@@ -149,6 +152,4 @@ def modified_volume(volume: LabelVolume, burr_radius: float) -> ModifiedVolume:
         out.flags.writeable = False
         return out
 
-    return ModifiedVolume(
-        volume, float(burr_radius), whole(allowed), whole(modified), whole(boundary), whole(unreachable)
-    )
+    return ModifiedVolume(volume, float(burr_radius), whole(allowed), whole(modified), whole(boundary))

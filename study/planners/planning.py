@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
 from functools import lru_cache
 
 import numpy as np
@@ -17,6 +18,7 @@ from study.planners.settings import PlannerSettings
 from study.planners.simulation import _kernels as simulation
 from study.planners.strategies import _kernels as strategies
 from study.volumes import LabelVolume, ball_element
+from study.volumes.elements import element_rows
 
 STRATEGIES = ("3d", "zigzag")
 
@@ -37,11 +39,8 @@ def _burr_geometry(radius: float, steps: tuple[float, float, float], reach: tupl
     element = ball_element(radius, steps_array)
     middle = np.array(element.shape) // 2
     offsets = (np.argwhere(element) - middle).astype(np.int64)
-    outer = offsets[offsets[:, 1] < 0]
-    top_rows = {}
-    for layer, depth, lateral in outer:
-        top_rows[layer, depth] = max(top_rows.get((layer, depth), 0), abs(int(lateral)))
-    top_rows = np.array([(*row, most) for row, most in top_rows.items()], dtype=np.int64)
+    rows = element_rows(element)
+    top_rows = np.ascontiguousarray(rows[rows[:, 1] < 0])
     swept = simulation.swept_parts(int(max(reach)) + 1, steps_array, radius)
     return offsets, top_rows, swept
 
@@ -70,13 +69,14 @@ class _Canonical:
         max_tilt = np.deg2rad(settings.max_tilt_deg)
         self.min_window = np.deg2rad(settings.min_window_deg)
         protected = (self.solid == 1).astype(np.uint8)
-        shaft = build_shaft(protected, frame.steps, drill, max_tilt)
+        self.shaft = build_shaft(protected, frame.steps, drill, max_tilt)
         # Half a window plus rounding, so that a window exactly as wide as the least one still counts.
-        narrow = shaft._replace(max_tilt=min(max_tilt, self.min_window / 2 + 1e-12))
-        self.dropped = strategies.drop_inaccessible(shaft, narrow, self.modified, self.min_window)
+        narrow = self.shaft._replace(max_tilt=min(max_tilt, self.min_window / 2 + 1e-12))
+        self.dropped = strategies.drop_inaccessible(self.shaft, narrow, self.modified, self.min_window)
 
-    def mean_window(self, shaft, sample: int = 400) -> float:
-        """Mean width of the windows of some of the targeted voxels, radians."""
+    def mean_window(self, sample: int = 400) -> float:
+        """Mean width of the windows that protected bone leaves some of the targeted voxels, radians."""
+        shaft = self.shaft
         voxels = np.argwhere(self.modified)
         voxels = voxels[:: max(1, len(voxels) // sample)]
         total = 0.0
@@ -101,20 +101,37 @@ def _choose_frame(modified, approach, drill, settings, padding) -> _Canonical:
     ]
     if options[0].dropped != options[1].dropped:
         return min(options, key=lambda option: option.dropped)
-    max_tilt = np.deg2rad(settings.max_tilt_deg)
-    widths = []
-    for option in options:
-        protected = (option.solid == 1).astype(np.uint8)
-        widths.append(option.mean_window(build_shaft(protected, option.frame.steps, drill, max_tilt)))
-    return options[int(np.argmax(widths))]
+    return options[int(np.argmax([option.mean_window() for option in options]))]
 
 
-def _start_voxels(labels: np.ndarray, steps: np.ndarray) -> np.ndarray:
-    """Targeted voxels, outermost first, then nearest to the middle of the target's surface."""
-    voxels = np.argwhere(labels)
-    middle = voxels[:, [0, 2]].mean(axis=0)
-    aside = ((voxels[:, [0, 2]] - middle) * steps[[0, 2]]) ** 2
-    return voxels[np.lexsort((aside.sum(axis=1), voxels[:, 1]))]
+def _start_voxels(labels: np.ndarray, steps: np.ndarray) -> Iterator[np.ndarray]:
+    """Targeted voxels, outermost first, then nearest to the middle of the target as seen from outside."""
+    plane = labels.any(axis=1)
+    middle = np.argwhere(plane).mean(axis=0)
+    for depth in np.flatnonzero(labels.any(axis=(0, 2))):
+        voxels = np.argwhere(labels[:, depth, :])
+        aside = (((voxels - middle) * steps[[0, 2]]) ** 2).sum(axis=1)
+        for layer, lateral in voxels[np.argsort(aside, kind="stable")]:
+            yield np.array([layer, depth, lateral], dtype=np.int64)
+
+
+def _first_accessible(canonical: _Canonical, sim, settings: PlannerSettings) -> np.ndarray:
+    """The start voxel: the outermost targeted voxel that the shaft reaches through unmilled bone."""
+    if not canonical.modified.any():
+        raise TargetUnreachableError(
+            f"none of the {canonical.dropped} burr positions in the target can be reached by the shaft past "
+            f"protected bone within {settings.max_tilt_deg:g} degrees of the approach"
+        )
+    limit = sim.shaft.max_tilt
+    for start in _start_voxels(canonical.modified, canonical.frame.steps):
+        free, _, _ = strategies.accessible_window(
+            sim.shaft, *start, -limit, limit, sim.min_window, sim.min_overlap
+        )
+        if free:
+            return start
+    raise TargetUnreachableError(
+        "no targeted voxel can be reached from outside through unmilled bone: expected a target open to the air"
+    )
 
 
 def plan_path(
@@ -173,25 +190,10 @@ def plan_path(
     sim, accessible = _build(canonical, drill, settings)
     search = _search_arrays(sim.solid.size)
 
-    starts = _start_voxels(canonical.modified, frame.steps)
-    if len(starts) == 0:
-        raise TargetUnreachableError(
-            f"none of the {np.count_nonzero(modified.target)} burr positions in the target can be reached by the "
-            f"shaft past protected bone within {settings.max_tilt_deg:g} degrees of the approach"
-        )
-    for start in starts:
-        free, _, _ = strategies.accessible_window(
-            sim.shaft, *start, -sim.shaft.max_tilt, sim.shaft.max_tilt, sim.min_window, sim.min_overlap
-        )
-        if free:
-            break
-    else:
-        raise TargetUnreachableError(
-            "no targeted voxel can be reached from outside through unmilled bone: expected a target open to the air"
-        )
+    start = _first_accessible(canonical, sim, settings)
     if strategy == "3d":
         terms = compile_terms(settings.terms, volume, frame)
-        strategies.run_3d(sim, search, start.astype(np.int64), settings.weights.as_array(), terms)
+        strategies.run_3d(sim, search, start, settings.weights.as_array(), terms)
     else:
         targeted = canonical.modified.astype(np.bool_)
         extent = np.ptp(np.argwhere(targeted), axis=0) * frame.steps
@@ -199,7 +201,7 @@ def plan_path(
         across = sim.reach[0] if row_axis == 2 else sim.reach[2]
         row_pitch = settings.row_pitch or int(across + 1)
         layer_pitch = settings.layer_pitch or int(sim.reach[1] + 1)
-        strategies.run_zigzag(sim, search, start.astype(np.int64), targeted, row_axis, row_pitch, layer_pitch)
+        strategies.run_zigzag(sim, search, start, targeted, row_axis, row_pitch, layer_pitch)
     if sim.counters[simulation.FULL]:
         raise PlanningError(
             f"the plan exceeds {len(sim.path)} positions for {np.count_nonzero(accessible)} targeted voxels"
@@ -243,9 +245,7 @@ def _build(canonical: _Canonical, drill: Drill, settings: PlannerSettings):
     near = _box(canonical.allowed) if canonical.allowed.any() else np.zeros((2, 3), np.int64)
     simulation.count_covers(labels, canonical.allowed, reach, near, covers, crowded)
     top = np.zeros(shape, np.uint16)
-    simulation.count_top(canonical.solid, top_rows, _box(canonical.solid == 2), top)
-    stood = np.empty((*shape, 2), np.float32)
-    simulation.never_stood(stood)
+    simulation.count_top(canonical.solid, top_rows, labels, top)
     n_targeted = int(np.count_nonzero(labels))
     random = np.random.default_rng(settings.seed).integers(0, 2**32, 1 << 16, dtype=np.uint32)
     shaft = build_shaft(canonical.solid, steps, drill, np.deg2rad(settings.max_tilt_deg))
@@ -266,9 +266,10 @@ def _build(canonical: _Canonical, drill: Drill, settings: PlannerSettings):
         shaft=shaft,
         min_window=canonical.min_window,
         min_overlap=float(np.deg2rad(settings.min_overlap_deg)),
-        stood=stood,
+        stood=np.zeros((*shape, 2), np.float32),
         path=np.empty((40 * n_targeted + 20000, 5)),
         counters=np.array([0, n_targeted, 0, 0], dtype=np.int64),
+        left_at_depth=np.count_nonzero(labels, axis=(0, 2)).astype(np.int64),
         random=random,
     )
     return sim, frame.original(labels) != 0

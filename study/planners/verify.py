@@ -48,7 +48,9 @@ def verify_plan(plan: Plan) -> pd.Series:
     axes = plan.axes @ volume.directions
     norms = np.linalg.norm(axes, axis=1)
     if np.abs(norms - 1).max() > 1e-6:
-        raise PlanViolation(f"axes: expected unit vectors, got lengths {norms.min():.6g} to {norms.max():.6g}")
+        raise PlanViolation(
+            f"axes: expected unit vectors, got lengths {norms.min():.6g} to {norms.max():.6g}"
+        )
     axes = np.ascontiguousarray(axes / norms[:, None])
     removed = plan.removed / volume.voxel_volume
     cylinders = np.array(plan.drill.cylinders)
@@ -76,7 +78,9 @@ def verify_plan(plan: Plan) -> pd.Series:
     if plan.remaining is not None:
         claimed = plan.remaining.volume_mm3("target")
         if not np.array_equal(plan.remaining.mask("target"), solid == 2):
-            raise PlanViolation(f"remaining: the plan says {claimed:.3f} mm^3 of target, the replay {left:.3f}")
+            raise PlanViolation(
+                f"remaining: the plan says {claimed:.3f} mm^3 of target, the replay {left:.3f}"
+            )
     return pd.Series(
         {
             "points": len(points),

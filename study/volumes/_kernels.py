@@ -1,4 +1,4 @@
-"""Compiled loops over voxels: distances from voxel centres to voxel boxes."""
+"""Compiled loops over voxels: dilation by an element made of centred rows."""
 
 from __future__ import annotations
 
@@ -7,93 +7,42 @@ import numpy as np
 
 
 @nb.njit(cache=True)
-def _pass_along_last_axis(field, weights, out):
-    reach = weights.size - 1
-    n0, n1, n2 = field.shape
-    row = np.empty(n2)
-    for i in range(n0):
-        for j in range(n1):
-            empty = True
-            for k in range(n2):
-                row[k] = np.inf
-                if field[i, j, k] != np.inf:
-                    empty = False
-            if not empty:
-                for k in range(n2):
-                    value = field[i, j, k]
-                    if value == np.inf:
-                        continue
-                    for m in range(max(0, k - reach), min(n2, k + reach + 1)):
-                        candidate = value + weights[abs(m - k)]
-                        if candidate < row[m]:
-                            row[m] = candidate
-            for k in range(n2):
-                out[i, j, k] = row[k]
-
-
-@nb.njit(cache=True)
-def _pass_across_rows(field, weights, out):
-    # Along the middle axis, whole rows at a time, so that the inner loop vectorises.
-    reach = weights.size - 1
-    n0, n1, n2 = field.shape
-    for i in range(n0):
-        filled = np.zeros(n1, np.bool_)
-        for j in range(n1):
-            for k in range(n2):
-                out[i, j, k] = np.inf
-                if field[i, j, k] != np.inf:
-                    filled[j] = True
-        for j in range(n1):
-            if not filled[j]:
-                continue
-            for m in range(max(0, j - reach), min(n1, j + reach + 1)):
-                weight = weights[abs(m - j)]
-                for k in range(n2):
-                    candidate = field[i, j, k] + weight
-                    if candidate < out[i, m, k]:
-                        out[i, m, k] = candidate
-
-
-@nb.njit(cache=True)
-def _pass_across_slabs(field, weights, out):
-    reach = weights.size - 1
-    n0, n1, n2 = field.shape
-    for i in range(n0):
-        for j in range(n1):
-            for k in range(n2):
-                out[i, j, k] = np.inf
-    for i in range(n0):
-        for j in range(n1):
-            filled = False
-            for k in range(n2):
-                if field[i, j, k] != np.inf:
-                    filled = True
-                    break
-            if not filled:
-                continue
-            for m in range(max(0, i - reach), min(n0, i + reach + 1)):
-                weight = weights[abs(m - i)]
-                for k in range(n2):
-                    candidate = field[i, j, k] + weight
-                    if candidate < out[m, j, k]:
-                        out[m, j, k] = candidate
-
-
-@nb.njit(cache=True)
-def squared_distance_to_boxes(mask, weights0, weights1, weights2):
-    """Squared mm from every voxel centre to the nearest voxel box of `mask`, exact up to the reach.
-
-    ``weights_n[d]`` is the squared distance along axis n from a centre to a box d voxels away; the
-    sum over axes is separable, so three passes of a truncated minimum suffice.
-    """
+def _widened_rows(mask, reach, out):
+    """``out[w]`` is `mask` dilated by w voxels along its last axis, for w = 0..reach."""
     n0, n1, n2 = mask.shape
-    first = np.empty((n0, n1, n2))
-    second = np.empty((n0, n1, n2))
+    distance = np.empty(n2, np.int64)
     for i in range(n0):
         for j in range(n1):
+            since = reach + 1
             for k in range(n2):
-                first[i, j, k] = 0.0 if mask[i, j, k] else np.inf
-    _pass_along_last_axis(first, weights2, second)
-    _pass_across_rows(second, weights1, first)
-    _pass_across_slabs(first, weights0, second)
-    return second
+                since = 0 if mask[i, j, k] else since + 1
+                distance[k] = since
+            since = reach + 1
+            for k in range(n2 - 1, -1, -1):
+                since = 0 if mask[i, j, k] else since + 1
+                distance[k] = min(distance[k], since)
+            for w in range(reach + 1):
+                for k in range(n2):
+                    out[w, i, j, k] = distance[k] <= w
+
+
+@nb.njit(cache=True)
+def dilate_by_rows(mask, rows, reach):
+    """Dilate a mask by the element whose rows are (first offset, second offset, reach along the last axis)."""
+    n0, n1, n2 = mask.shape
+    widened = np.empty((reach + 1, n0, n1, n2), np.bool_)
+    _widened_rows(mask, reach, widened)
+    out = np.zeros((n0, n1, n2), np.bool_)
+    filled = np.zeros((n0, n1), np.bool_)
+    for i in range(n0):
+        for j in range(n1):
+            filled[i, j] = mask[i, j].any()
+    for i in range(n0):
+        for j in range(n1):
+            for r in range(rows.shape[0]):
+                p, q = i - rows[r, 0], j - rows[r, 1]
+                if 0 <= p < n0 and 0 <= q < n1 and filled[p, q]:
+                    row = widened[rows[r, 2], p, q]
+                    for k in range(n2):
+                        out[i, j, k] |= row[k]
+    return out

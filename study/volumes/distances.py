@@ -5,12 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from study.volumes import _kernels
+from study.volumes.elements import ball_element, element_rows
 
 
 def overlapped_by_ball(mask: np.ndarray, radius: float, spacing: np.ndarray) -> np.ndarray:
     """Voxel centres at which a ball of this radius would overlap a voxel of `mask`.
 
-    The same as dilating `mask` by ``ball_element(radius, spacing)``, in three separable passes.
+    The same as dilating `mask` by ``ball_element(radius, spacing)``, row by row of the element.
 
     Parameters
     ----------
@@ -24,10 +25,5 @@ def overlapped_by_ball(mask: np.ndarray, radius: float, spacing: np.ndarray) -> 
     -------
     (nx, ny, nz) bool array
     """
-    spacing = np.asarray(spacing, dtype=float)
-    weights = []
-    for step in spacing:
-        reach = int(np.floor(radius / step + 0.5))
-        weights.append((np.maximum(np.arange(reach + 1) - 0.5, 0) * step) ** 2)
-    squared = _kernels.squared_distance_to_boxes(np.ascontiguousarray(mask, dtype=np.bool_), *weights)
-    return squared < radius**2 * (1 - 1e-12)
+    rows = element_rows(ball_element(radius, spacing))
+    return _kernels.dilate_by_rows(np.ascontiguousarray(mask, dtype=np.bool_), rows, int(rows[:, 2].max()))

@@ -44,3 +44,23 @@ def ball_element(radius: float, spacing: np.ndarray, *, overlap: bool = True) ->
     ]
     x, y, z = np.meshgrid(*nearest, indexing="ij", sparse=True)
     return x**2 + y**2 + z**2 < radius**2 * (1 - 1e-12)
+
+
+def element_rows(element: np.ndarray) -> np.ndarray:
+    """Rows of a symmetric convex element along its last axis.
+
+    Parameters
+    ----------
+    element : (2 a + 1, 2 b + 1, 2 c + 1) bool array
+        As from `ball_element`.
+
+    Returns
+    -------
+    (m, 3) int64 array
+        Offsets along the first two axes, and how far the row reaches to either side along the last.
+    """
+    middle = np.array(element.shape) // 2
+    reach = element[:, :, middle[2] :].sum(axis=2) - 1
+    first, second = np.nonzero(reach >= 0)
+    rows = np.column_stack([first - middle[0], second - middle[1], reach[first, second]])
+    return rows.astype(np.int64)

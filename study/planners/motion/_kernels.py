@@ -166,17 +166,25 @@ def find_way(sim, search, burr, kind, goal):
         layer = flat // plane
         depth = (flat - layer * plane) // n_lateral
         lateral = flat - layer * plane - depth * n_lateral
-        for n in range(6):
+        for look in range(12):
+            # Goals first: next to the burr they are the rule, and each look costs a window.
+            n = look % 6
             i, j, k = layer + NEIGHBOURS[n, 0], depth + NEIGHBOURS[n, 1], lateral + NEIGHBOURS[n, 2]
             if not sim.allowed[i, j, k]:
                 continue
+            if kind == ONE_VOXEL:
+                found = i == goal[0] and j == goal[1] and k == goal[2]
+            elif kind == SLICE:
+                found = sim.modified[i, j, k] != 0 and goal[0] <= j < goal[1]
+            else:
+                found = sim.modified[i, j, k] != 0
             other = (i * n_depth + j) * n_lateral + k
-            if stamp[other] == mark:
+            if found != (look < 6) or stamp[other] == mark:
                 continue
             low, high = lows[flat], highs[flat]
             a, z = np.float64(sim.stood[i, j, k, 0]), np.float64(sim.stood[i, j, k, 1])
             # Bone only disappears: a window once found here is still free.
-            free = z - a >= sim.min_window and min(z, high) - max(a, low) >= sim.min_overlap
+            free = z > a and z - a >= sim.min_window and min(z, high) - max(a, low) >= sim.min_overlap
             if not free:
                 free, a, z = window_from(sim, low, high, i, j, k)
             if not free:
@@ -184,12 +192,6 @@ def find_way(sim, search, burr, kind, goal):
             stamp[other], came[other], lows[other], highs[other] = mark, n, a, z
             queue[tail] = other
             tail += 1
-            if kind == ONE_VOXEL:
-                found = i == goal[0] and j == goal[1] and k == goal[2]
-            elif kind == SLICE:
-                found = sim.modified[i, j, k] != 0 and goal[0] <= j < goal[1]
-            else:
-                found = sim.modified[i, j, k] != 0
             if found:
                 length = 0
                 while other != here:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import inf, sqrt
+from math import sqrt
 from typing import NamedTuple
 
 import numba as nb
@@ -34,9 +34,10 @@ class Simulation(NamedTuple):
     shaft: Shaft
     min_window: float
     min_overlap: float
-    stood: np.ndarray  # float32 [..., 2]: window last found where the burr stood; low > high if never
+    stood: np.ndarray  # float32 [..., 2]: window last found where the burr stood; 0, 0 if never
     path: np.ndarray  # float64 (capacity, 5): layer, depth, lateral, tilt, voxels removed on arriving
     counters: np.ndarray  # int64: rows of path used, modified voxels left, random numbers drawn, path full
+    left_at_depth: np.ndarray  # int64 [depth]: modified voxels left
     random: np.ndarray  # uint32, drawn in numpy
 
 
@@ -126,13 +127,24 @@ def _shift_top(top, top_rows, layer, depth, lateral, by):
 
 
 @nb.njit(cache=True)
-def count_top(solid, top_rows, near, top):
-    """Fill `top` from scratch; `near` is the box (low, high) that holds every target voxel."""
-    for layer in range(near[0, 0], near[1, 0]):
-        for d in range(near[0, 1], near[1, 1]):
-            for b in range(near[0, 2], near[1, 2]):
-                if solid[layer, d, b] == TARGET:
-                    _shift_top(top, top_rows, layer, d, b, np.uint16(1))
+def count_top(solid, top_rows, modified, top):
+    """Fill `top` from scratch where `modified` is set, by prefix sums along the lateral axis."""
+    n_layer, n_depth, n_lateral = solid.shape
+    before = np.zeros((n_layer, n_depth, n_lateral + 1), np.int32)
+    for layer in range(n_layer):
+        for d in range(n_depth):
+            for b in range(n_lateral):
+                before[layer, d, b + 1] = before[layer, d, b] + (solid[layer, d, b] == TARGET)
+    for layer in range(n_layer):
+        for d in range(n_depth):
+            for b in range(n_lateral):
+                if modified[layer, d, b] == 0:
+                    continue
+                n = 0
+                for r in range(top_rows.shape[0]):
+                    row = before[layer + top_rows[r, 0], d + top_rows[r, 1]]
+                    n += row[b + top_rows[r, 2] + 1] - row[b - top_rows[r, 2]]
+                top[layer, d, b] = n
 
 
 @nb.njit(cache=True)
@@ -220,12 +232,14 @@ def clear_supervoxel(sim, layer, depth, lateral):
     if sim.modified[layer, depth, lateral] == BOUNDARY:
         sim.modified[layer, depth, lateral] = 0
         sim.counters[LEFT] -= 1
+        sim.left_at_depth[depth] -= 1
     for i in range(layer - sim.reach[0], layer + sim.reach[0] + 1):
         for j in range(depth - sim.reach[1], depth + sim.reach[1] + 1):
             for k in range(lateral - sim.reach[2], lateral + sim.reach[2] + 1):
                 if sim.modified[i, j, k] == UNMILLED:
                     sim.modified[i, j, k] = 0
                     sim.counters[LEFT] -= 1
+                    sim.left_at_depth[j] -= 1
                     _uncover(sim, i, j, k)
 
 
@@ -247,10 +261,3 @@ def draw(sim, n):
     value = sim.random[sim.counters[DRAWN] % sim.random.size]
     sim.counters[DRAWN] += 1
     return int(value % np.uint32(n))
-
-
-@nb.njit(cache=True)
-def never_stood(stood):
-    """Empty the record of windows."""
-    stood[..., 0] = inf
-    stood[..., 1] = -inf

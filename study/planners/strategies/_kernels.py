@@ -284,7 +284,7 @@ def run_zigzag(sim, search, start, targeted, row_axis, row_pitch, layer_pitch):
         _zigzag_layer(sim, search, burr, targeted, depth, row_axis, row_pitch)
         for d in range(top, min(top + layer_pitch, last + 1)):
             band[0], band[1] = d, d + 1
-            while sim.counters[FULL] == 0 and (sim.modified[:, d, :] != 0).any():
+            while sim.counters[FULL] == 0 and sim.left_at_depth[d] > 0:
                 if not go(sim, search, burr, SLICE, band):
                     break
         top += layer_pitch

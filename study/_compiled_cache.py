@@ -1,0 +1,40 @@
+"""Where numba keeps this package's compiled kernels: one folder for each state of their sources.
+
+Numba notices when the file of a cached function changes, but not when a function it calls, in another
+file, does: after an update a planner would go on with yesterday's collision check. So the folder's
+name carries a digest of every kernel source.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from pathlib import Path
+
+import numba
+
+PACKAGE = Path(__file__).parent
+
+
+def kernel_digest(package: Path = PACKAGE) -> str:
+    """Digest of all ``_kernels.py`` below `package` and of numba's version."""
+    digest = hashlib.sha256(numba.__version__.encode())
+    for source in sorted(package.rglob("_kernels.py")):
+        digest.update(str(source.relative_to(package)).encode())
+        digest.update(source.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def use_versioned_cache() -> None:
+    """Point numba at this state's folder, below the user's NUMBA_CACHE_DIR or beside the package.
+
+    Where neither can be written numba's own default stays.
+    """
+    chosen = os.environ.get("NUMBA_CACHE_DIR")
+    base = Path(chosen) if chosen else PACKAGE / "__pycache__"
+    try:
+        base.mkdir(parents=True, exist_ok=True)
+    except OSError:
+        return
+    if os.access(base, os.W_OK):
+        numba.config.CACHE_DIR = str(base / f"kernels-{kernel_digest()}")
