@@ -1,6 +1,7 @@
 """Every stage's notebook runs from start to end and makes what ``dvc.yaml`` says it makes."""
 
 import shlex
+import time
 from pathlib import Path
 
 import pytest
@@ -27,15 +28,22 @@ def command_of(stage):
     return words[0], {words[k + 1]: words[k + 2] for k in flags}
 
 
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """One folder for all stages, in the order of the pipeline: a later one reads what an earlier one made."""
+    return tmp_path_factory.mktemp("figures")
+
+
 @pytest.mark.notebook
 @pytest.mark.parametrize("name", [name for name in STAGES if name != "prepare"])
-def test_notebook_makes_the_outputs_of_its_stage(name, tmp_path):
+def test_notebook_makes_the_outputs_of_its_stage(name, folder):
     notebook, parameters = command_of(STAGES[name])
     path = PROJECT / notebook
     node = load_notebook_node(str(path))
-    given = {**profile_parameters(path.stem, "test"), **parameters, "output_dir": str(tmp_path)}
+    given = {**profile_parameters(path.stem, "test"), **parameters, "output_dir": str(folder)}
     values = checked_parameters(declared_parameters(node, path.name), given, path.name)
     node = parameterize_notebook(node, values, kernel_name="python3", language="python")
+    begun = time.time()
     with private_connection() as config:
         client = NotebookClient(
             node,
@@ -46,4 +54,8 @@ def test_notebook_makes_the_outputs_of_its_stage(name, tmp_path):
         )
         client.execute()
     expected = {Path(file).name for out in STAGES[name]["outs"] for file in out}
-    assert expected <= {file.name for file in tmp_path.iterdir() if file.stat().st_size > 0}
+    fresh = {
+        file.name for file in folder.iterdir() if file.stat().st_mtime >= begun and file.stat().st_size > 0
+    }
+    assert expected <= fresh, "the stage promises more than its notebook writes"
+    assert fresh <= expected, "the notebook writes what the stage does not say"
