@@ -15,7 +15,6 @@ from typing import NamedTuple
 import numba as nb
 import numpy as np
 
-
 ONE = np.uint64(1)
 ALL = np.uint64(0xFFFFFFFFFFFFFFFF)
 DE_BRUIJN = np.uint64(0x03F79D71B4CB0A89)
@@ -241,7 +240,7 @@ def accessible_window(shaft, layer, depth, lateral, current_low, current_high, m
         radius = shaft.radius[i]
         # No row closer than this is touched at any tilt that is left.
         nearest = shaft.start[i] * cos(shaft.max_tilt) - radius * sin(shaft.max_tilt)
-        first = max(-shaft.inward, int(floor((nearest - half_depth) / shaft.step_depth)))
+        first = max(-shaft.inward, floor((nearest - half_depth) / shaft.step_depth))
         tan_low, tan_high = tan(gaps[0, 0]), tan(gaps[1, n - 1])
         wide_low, wide_high = radius / cos(gaps[0, 0]), radius / cos(gaps[1, n - 1])
         for row in range(first, depth + 1 - shaft.outermost[i, layer]):
@@ -250,8 +249,8 @@ def accessible_window(shaft, layer, depth, lateral, current_low, current_high, m
             u0, u1 = u - half_depth, u + half_depth
             left = min(u0 * tan_low, u1 * tan_low) - wide_low - half_lateral
             right = max(u0 * tan_high, u1 * tan_high) + wide_high + half_lateral
-            cell_from = max(0, lateral + int(floor(left / shaft.step_lateral)))
-            cell_to = min(n_lateral - 1, lateral + int(ceil(right / shaft.step_lateral)))
+            cell_from = max(0, lateral + floor(left / shaft.step_lateral))
+            cell_to = min(n_lateral - 1, lateral + ceil(right / shaft.step_lateral))
             if cell_from > cell_to:
                 continue
             changed = False
@@ -295,7 +294,7 @@ def accessible_window(shaft, layer, depth, lateral, current_low, current_high, m
 def pose_is_free(shaft, layer, depth, lateral, theta):
     """Whether the shaft at this (fractional) position and tilt avoids the collapsed slabs. Conservative."""
     n_layer, n_depth, n_lateral = shaft.slab.shape[1], shaft.slab.shape[2], shaft.slab.shape[3]
-    l0, l1 = int(floor(layer)), int(ceil(layer))
+    l0, l1 = floor(layer), ceil(layer)
     c, s = cos(theta), sin(theta)
     limit = shaft.burr_radius * shaft.burr_radius * (1 - 1e-12)
     along = shaft.step_depth / 2 * c + shaft.step_lateral / 2 * abs(s)
@@ -304,7 +303,7 @@ def pose_is_free(shaft, layer, depth, lateral, theta):
         radius, start = shaft.radius[i], shaft.start[i]
         far = max(layer - (l0 - shaft.half[i]), l1 + shaft.half[i] - layer)
         far = max(0.0, far - 0.5) * shaft.step_layer
-        deepest = int(floor(depth + (radius * abs(s) - start * c) / shaft.step_depth + 1))
+        deepest = floor(depth + (radius * abs(s) - start * c) / shaft.step_depth + 1)
         top = min(
             shaft.outermost[i, max(0, min(l0, n_layer - 1))], shaft.outermost[i, max(0, min(l1, n_layer - 1))]
         )
@@ -312,8 +311,8 @@ def pose_is_free(shaft, layer, depth, lateral, theta):
             u = (depth - d) * shaft.step_depth
             centre = u * s / c
             width = (radius + across) / c
-            b0 = max(0, int(ceil(lateral + (centre - width) / shaft.step_lateral)))
-            b1 = min(n_lateral - 1, int(floor(lateral + (centre + width) / shaft.step_lateral)))
+            b0 = max(0, ceil(lateral + (centre - width) / shaft.step_lateral))
+            b1 = min(n_lateral - 1, floor(lateral + (centre + width) / shaft.step_lateral))
             for layer_index in (l0, l1):
                 if not 0 <= layer_index < n_layer:
                     continue
@@ -425,8 +424,8 @@ def drill_overlaps_voxels(solid, spacing, position, axis, cylinders, hit):
             a = position[n] + axis[n] * start
             z = position[n] + axis[n] * end
             reach = radius * sqrt(max(0.0, 1.0 - axis[n] * axis[n])) + spacing[n] / 2
-            first[n] = max(0, int(ceil((min(a, z) - reach) / spacing[n])))
-            last[n] = min(shape[n] - 1, int(floor((max(a, z) + reach) / spacing[n])))
+            first[n] = max(0, ceil((min(a, z) - reach) / spacing[n]))
+            last[n] = min(shape[n] - 1, floor((max(a, z) + reach) / spacing[n]))
         bound = radius + 0.5 * sqrt(spacing[0] ** 2 + spacing[1] ** 2 + spacing[2] ** 2)
         for i in range(first[0], last[0] + 1):
             p0 = i * spacing[0] - position[0]
@@ -442,8 +441,8 @@ def drill_overlaps_voxels(solid, spacing, position, axis, cylinders, hit):
                     if rest < 0.0:
                         continue
                     rest = sqrt(rest)
-                    k0 = max(k0, int(floor((position[2] + middle - rest) / spacing[2])))
-                    k1 = min(k1, int(ceil((position[2] + middle + rest) / spacing[2])))
+                    k0 = max(k0, floor((position[2] + middle - rest) / spacing[2]))
+                    k1 = min(k1, ceil((position[2] + middle + rest) / spacing[2]))
                 elif c1 > bound * bound:
                     continue
                 for k in range(k0, k1 + 1):

@@ -26,7 +26,7 @@ class Drill:
     Raises
     ------
     InputError
-        If a length is not positive and finite, the shaft is wider than the burr, or the ends do not increase.
+        If a length is not positive and finite, the shaft is wider than the burr, or the ends do not grow.
     """
 
     burr_diameter: float = 5.0

@@ -86,7 +86,7 @@ class CanonicalFrame:
 
 
 def check_orthogonal(volume: LabelVolume) -> None:
-    """Raise `GeometryError` unless the volume's index axes are at right angles (flips and rotations are fine)."""
+    """Raise `GeometryError` unless the index axes are at right angles (flips and rotations are fine)."""
     skew = volume.directions.T @ volume.directions - np.eye(3)
     if np.abs(skew).max() > 1e-3:
         raise GeometryError(
@@ -128,7 +128,7 @@ def find_approach(volume: LabelVolume) -> np.ndarray:
     length = np.linalg.norm(direction)
     if length < 1e-9 * max(1.0, float(np.abs(votes).max())) or not votes.any():
         raise TargetUnreachableError(
-            "the target meets no outside air along any grid axis: expected a target that is open to the outside"
+            "the target meets no outside air along any grid axis: expected a target open to the outside"
         )
     return direction / length
 

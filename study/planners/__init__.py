@@ -2,6 +2,7 @@
 
 from study.planners.fitness import FitnessTerm, fitness_score
 from study.planners.modified import ModifiedVolume, modified_volume
+from study.planners.passes import plan_passes
 from study.planners.plan import Plan
 from study.planners.planning import plan_path
 from study.planners.settings import FitnessWeights, PlannerSettings
@@ -14,5 +15,6 @@ __all__ = [
     "PlannerSettings",
     "fitness_score",
     "modified_volume",
+    "plan_passes",
     "plan_path",
 ]

@@ -1,4 +1,4 @@
-"""Compiled replay of a plan: sweep the burr, then the shaft, segment by segment, in the volume's own order."""
+"""Compiled replay of a plan in the volume's own order: sweep the burr, then the shaft, by segments."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ def _sweep_ball(solid, spacing, a, b, radius, hit):
     first = np.empty(3, np.int64)
     last = np.empty(3, np.int64)
     for n in range(3):
-        first[n] = int(floor((min(a[n], b[n]) - radius) / spacing[n] + 0.5))
-        last[n] = int(ceil((max(a[n], b[n]) + radius) / spacing[n] - 0.5))
+        first[n] = floor((min(a[n], b[n]) - radius) / spacing[n] + 0.5)
+        last[n] = ceil((max(a[n], b[n]) + radius) / spacing[n] - 0.5)
     removed = 0
     half = spacing / 2
     for i in range(first[0], last[0] + 1):
@@ -76,7 +76,7 @@ def replay(solid, spacing, points, axes, removed, radius, cylinders, lever, hit)
             return WRONG_REMOVAL, row, n, poses
         if angle < 1e-7:  # rounding of a file's digits is no turn
             angle = 0.0
-        parts = max(1, int(ceil(length / voxel - 1e-6)), int(ceil(angle / 0.00436)))
+        parts = max(1, ceil(length / voxel - 1e-6), ceil(angle / 0.00436))
         h = (length + lever * angle) / parts
         for c in range(cylinders.shape[0]):
             wide[c, 0] = sqrt(cylinders[c, 0] ** 2 + 0.25 * h * h)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -19,7 +20,7 @@ def corner_points(points: np.ndarray) -> np.ndarray:
     """Rows of (n, 3) points at which a path starts, ends or turns; the straight ones between are left out."""
     keep = [0]
     moves = np.flatnonzero(np.linalg.norm(np.diff(points, axis=0), axis=1) > 0) + 1
-    for here, after in zip(moves[:-1], moves[1:], strict=True):
+    for here, after in itertools.pairwise(moves):
         a, b = points[here] - points[keep[-1]], points[after] - points[here]
         across = np.linalg.norm(np.cross(a, b))
         if across > 1e-9 * np.linalg.norm(a) * np.linalg.norm(b) or a @ b < 0:

@@ -41,7 +41,7 @@ class ModifiedVolume:
 
     @cached_property
     def unreachable(self) -> np.ndarray:
-        """Target voxels of the unmodified volume that no allowed position of this burr reaches (figure 2.3)."""
+        """Target voxels of the unmodified volume that this burr reaches from nowhere (figure 2.3)."""
         reached = overlapped_by_ball(self.allowed, self.burr_radius, self.volume.spacing)
         return self.volume.mask("target") & ~reached
 
@@ -81,13 +81,13 @@ def check_planning_volume(volume: LabelVolume) -> tuple[np.ndarray, np.ndarray]:
             touching = int(np.count_nonzero(np.take(target, plane, axis=axis)))
             if touching:
                 raise PlanningError(
-                    f"{touching} target voxels lie in the {end} plane of axis {'ijk'[axis]}; what is beyond the "
-                    "edge of the image is unknown: expected target inside it (LabelVolume.padded adds air)"
+                    f"{touching} target voxels lie in the {end} plane of axis {'ijk'[axis]}; what is beyond "
+                    "the edge of the image is unknown: expected target inside it (LabelVolume.padded adds air)"
                 )
     return air, target
 
 
-def modified_volume(volume: LabelVolume, burr_radius: float) -> ModifiedVolume:
+def modified_volume(volume: LabelVolume, burr_radius: float, *, finishing: bool = False) -> ModifiedVolume:
     """Erode the target by the burr, dilate the rest into air, find the target boundary.
 
     Parameters
@@ -96,6 +96,10 @@ def modified_volume(volume: LabelVolume, burr_radius: float) -> ModifiedVolume:
         With labels ``air`` and ``target``; everything else is protected.
     burr_radius : float
         mm.
+    finishing : bool
+        Target also every allowed position from which the burr reaches bone that the positions above
+        do not: what a later, smaller burr is for (end of 2.3), whose own erosion of the thin rest
+        would leave nothing.
 
     Returns
     -------
@@ -136,12 +140,15 @@ def modified_volume(volume: LabelVolume, burr_radius: float) -> ModifiedVolume:
         allowed[tuple(high_edge)] = False
 
     eroded = target_box & allowed
-    if not eroded.any():
+    modified = eroded | (air_box & allowed & overlapped_by_ball(eroded, burr_radius, spacing))
+    if finishing:
+        rest = target_box & ~overlapped_by_ball(modified, burr_radius, spacing)
+        modified |= allowed & overlapped_by_ball(rest, burr_radius, spacing)
+    if not modified.any():
         raise PlanningError(
             f"a burr of {2 * burr_radius:g} mm fits nowhere in the target of "
             f"{np.count_nonzero(target) * volume.voxel_volume:.1f} mm^3 without cutting protected voxels"
         )
-    modified = eroded | (air_box & allowed & overlapped_by_ball(eroded, burr_radius, spacing))
     solid_outside = ~modified & ~air_box
     faces = ndimage.generate_binary_structure(3, 1)
     boundary = modified & ndimage.binary_dilation(solid_outside, faces)

@@ -130,7 +130,7 @@ def _first_accessible(canonical: _Canonical, sim, settings: PlannerSettings) -> 
         if free:
             return start
     raise TargetUnreachableError(
-        "no targeted voxel can be reached from outside through unmilled bone: expected a target open to the air"
+        "no targeted voxel can be reached from outside past unmilled bone: expected a target open to the air"
     )
 
 
@@ -179,7 +179,7 @@ def plan_path(
     settings = PlannerSettings() if settings is None else settings
     clock = time.perf_counter()
     check_orthogonal(volume)
-    modified = modified_volume(volume, drill.burr_radius)
+    modified = modified_volume(volume, drill.burr_radius, finishing=settings.finishing)
     approach = find_approach(volume) if approach is None else np.asarray(approach, dtype=float)
 
     reach_burr = np.floor(drill.burr_radius / volume.spacing + 0.5).astype(int) + 1

@@ -50,6 +50,8 @@ class PlannerSettings:
     rotation_axis : int
         Grid axis about which the 4-DOF robot tilts the drill; -1 chooses the one of the two axes
         across the approach that reaches more of the target (then the one with the wider windows).
+    finishing : bool
+        Visit also what a larger burr left; see `study.planners.modified_volume`. `plan_passes` sets it.
     seed : int
         Breaks ties between equal Manhattan labels (2.2.6).
 
@@ -68,6 +70,7 @@ class PlannerSettings:
     row_pitch: int = 0
     layer_pitch: int = 0
     rotation_axis: int = -1
+    finishing: bool = False
     seed: int = 0
 
     def __post_init__(self) -> None:

@@ -1,4 +1,4 @@
-"""Replaying a plan without the planner: does it cut only what it may, and does the shaft stay free?"""
+"""Replay of a plan without the planner: it cuts only what it may, and the shaft stays free."""
 
 from __future__ import annotations
 

@@ -28,7 +28,7 @@ def _widened_rows(mask, reach, out):
 
 @nb.njit(cache=True)
 def dilate_by_rows(mask, rows, reach):
-    """Dilate a mask by the element whose rows are (first offset, second offset, reach along the last axis)."""
+    """Dilate a mask by the element whose rows are (offset, offset, reach along the last axis)."""
     n0, n1, n2 = mask.shape
     widened = np.empty((reach + 1, n0, n1, n2), np.bool_)
     _widened_rows(mask, reach, widened)

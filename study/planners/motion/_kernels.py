@@ -60,7 +60,7 @@ def step_to(sim, burr, layer, depth, lateral, low, high):
     """Move to a voxel that shares a face with the present one."""
     turn(sim, burr, tilt_between(burr[3], burr[4], burr[5], low, high))
     removed = mill_ball(sim, layer, depth, lateral)
-    record(sim, layer, depth, lateral, burr[3], removed)
+    record(sim, float(layer), float(depth), float(lateral), burr[3], removed)
     arrive(sim, burr, layer, depth, lateral, low, high)
 
 
@@ -141,12 +141,12 @@ def short_path(sim, burr, layer, depth, lateral):
 
 
 @nb.njit(cache=True)
-def find_way(sim, search, burr, kind, goal):
+def find_way(sim, search, burr, goal):
     """Flood outwards from the burr through positions whose windows overlap, to the nearest goal.
 
     Parameters: `search` is (stamp int32, came int8, low float32, high float32, queue int32 arrays over
-    voxels, and a one-element int32 array counting the floods); `kind` is ANY_TARGET, ONE_VOXEL
-    (`goal` is the voxel) or SLICE (unmilled target at depths goal[0] <= depth < goal[1]).
+    voxels, and a one-element int32 array counting the floods); `goal` is an int64 array: ANY_TARGET
+    (unmilled), ONE_VOXEL and the voxel, or SLICE (unmilled target at one depth) and the depth.
 
     Returns the length of the way, its voxels last to first in the queue's end; -1 if there is none.
     """
@@ -172,10 +172,10 @@ def find_way(sim, search, burr, kind, goal):
             i, j, k = layer + NEIGHBOURS[n, 0], depth + NEIGHBOURS[n, 1], lateral + NEIGHBOURS[n, 2]
             if not sim.allowed[i, j, k]:
                 continue
-            if kind == ONE_VOXEL:
-                found = i == goal[0] and j == goal[1] and k == goal[2]
-            elif kind == SLICE:
-                found = sim.modified[i, j, k] != 0 and goal[0] <= j < goal[1]
+            if goal[0] == ONE_VOXEL:
+                found = i == goal[1] and j == goal[2] and k == goal[3]
+            elif goal[0] == SLICE:
+                found = sim.modified[i, j, k] != 0 and j == goal[1]
             else:
                 found = sim.modified[i, j, k] != 0
             other = (i * n_depth + j) * n_lateral + k
@@ -204,9 +204,9 @@ def find_way(sim, search, burr, kind, goal):
 
 
 @nb.njit(cache=True)
-def go(sim, search, burr, kind, goal):
+def go(sim, search, burr, goal):
     """Relocate to the nearest goal of `find_way`; False (and no move) if there is no way."""
-    length = find_way(sim, search, burr, kind, goal)
+    length = find_way(sim, search, burr, goal)
     if length < 0:
         return False
     _, _, lows, highs, queue, _ = search

@@ -116,7 +116,7 @@ def rank_candidates(sim, burr, heading, weights, terms, candidates, scores):
 
 @nb.njit(cache=True)
 def take_step(sim, burr, layer, depth, lateral):
-    """Move to a candidate if it is accessible: straight, or by a short path past crowded voxels (2.3, step 8)."""
+    """Move to a candidate if it is accessible: straight, or by a short path where it is crowded (2.3)."""
     free, low, high = window_from(sim, burr[4], burr[5], layer, depth, lateral)
     if not free:
         return False
@@ -135,7 +135,8 @@ def begin(sim, burr, start):
     if not free:
         return False
     burr[3] = min(max(0.0, low), high)
-    record(sim, start[0], start[1], start[2], burr[3], mill_ball(sim, start[0], start[1], start[2]))
+    removed = mill_ball(sim, start[0], start[1], start[2])
+    record(sim, float(start[0]), float(start[1]), float(start[2]), burr[3], removed)
     arrive(sim, burr, start[0], start[1], start[2], low, high)
     return True
 
@@ -145,7 +146,7 @@ def return_home(sim, search, burr, start):
     """The way back to the start voxel (2.3.7); the way it came, reversed, if the search finds none."""
     if burr[0] == start[0] and burr[1] == start[1] and burr[2] == start[2]:
         return
-    if go(sim, search, burr, ONE_VOXEL, start):
+    if go(sim, search, burr, np.array([ONE_VOXEL, start[0], start[1], start[2]])):
         return
     for row in range(sim.counters[0] - 2, -1, -1):
         here = sim.path[row]
@@ -167,7 +168,7 @@ def run_3d(sim, search, start, weights, terms):
     most = (2 * sim.reach[0] + 3) * (2 * sim.reach[1] + 3) * (2 * sim.reach[2] + 3)
     candidates = np.empty((most, 3), np.int64)
     scores = np.empty(most)
-    nothing = np.zeros(3, np.int64)
+    anything = np.array([ANY_TARGET, 0, 0, 0])
     while sim.counters[LEFT] > 0 and sim.counters[FULL] == 0:
         l0, b0 = burr[0], burr[2]
         n = rank_candidates(sim, burr, heading, weights, terms, candidates, scores)
@@ -181,7 +182,7 @@ def run_3d(sim, search, start, weights, terms):
                 break
             n -= 1
             candidates[best], scores[best] = candidates[n], scores[n]
-        if not moved and not go(sim, search, burr, ANY_TARGET, nothing):
+        if not moved and not go(sim, search, burr, anything):
             break
         if burr[0] != l0 or burr[2] != b0:
             heading[0] = (burr[0] - l0) * sim.steps[0]
@@ -216,7 +217,7 @@ def _visit(sim, search, burr, i, j, k):
         if free:
             step_to(sim, burr, i, j, k, low, high)
             return True
-    return go(sim, search, burr, ONE_VOXEL, np.array([i, j, k]))
+    return go(sim, search, burr, np.array([ONE_VOXEL, i, j, k]))
 
 
 @nb.njit(cache=True)
@@ -271,25 +272,24 @@ def run_zigzag(sim, search, start, targeted, row_axis, row_pitch, layer_pitch):
     burr = np.zeros(6)
     if not begin(sim, burr, start):
         return False
-    nothing = np.zeros(3, np.int64)
+    anything = np.array([ANY_TARGET, 0, 0, 0])
     n_depth = targeted.shape[1]
     first, last = n_depth, -1
     for d in range(n_depth):
         if targeted[:, d, :].any():
             first, last = min(first, d), max(last, d)
-    band = np.zeros(3, np.int64)
     top = first
     while top <= last and sim.counters[FULL] == 0:
         depth = min(top + layer_pitch // 2, last)
         _zigzag_layer(sim, search, burr, targeted, depth, row_axis, row_pitch)
         for d in range(top, min(top + layer_pitch, last + 1)):
-            band[0], band[1] = d, d + 1
+            rim = np.array([SLICE, d, 0, 0])
             while sim.counters[FULL] == 0 and sim.left_at_depth[d] > 0:
-                if not go(sim, search, burr, SLICE, band):
+                if not go(sim, search, burr, rim):
                     break
         top += layer_pitch
     while sim.counters[LEFT] > 0 and sim.counters[FULL] == 0:
-        if not go(sim, search, burr, ANY_TARGET, nothing):
+        if not go(sim, search, burr, anything):
             break
     return_home(sim, search, burr, start)
     return True
