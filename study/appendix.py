@@ -17,13 +17,12 @@ import pandas as pd
 from tqdm.auto import tqdm
 
 from study import published
-from study.errors import FileFormatError, InputError, PlanViolation
+from study.errors import FileFormatError, InputError, PlanViolation, StudyError
 from study.paths import output_folder
 from study.planners import Plan, PlannerSettings, plan_path
 from study.planners.planning import STRATEGIES
 from study.robots import FeedSettings, Motion, predict_milling
 from study.specimens import catalogue, specimen
-from study.tables import save_table
 
 #: Printed table of each strategy and number of degrees of freedom.
 PRINTED = {("zigzag", 4): "A.1", ("3d", 4): "A.2", ("zigzag", 5): "A.3", ("3d", 5): "A.4"}
@@ -81,7 +80,12 @@ def plan_specimen(name: str, strategy: str = "3d", dof: int = 4, seed: int = 0) 
     -------
     Plan
     """
-    return plan_path(specimen(name).planning, strategy=strategy, dof=dof, settings=PlannerSettings(seed=seed))
+    try:
+        volume = specimen(name).planning
+        return plan_path(volume, strategy=strategy, dof=dof, settings=PlannerSettings(seed=seed))
+    except StudyError as error:  # which of many it was is lost otherwise
+        error.add_note(f"specimen {name}, {strategy}, {dof} degrees of freedom")
+        raise
 
 
 def appendix_row(
@@ -139,7 +143,8 @@ def over_specimens(function, names: Sequence[str], workers: int = 0) -> list:
         In the order of `names`, whoever finishes first.
     """
     workers = _workers(workers, len(names))
-    progress = partial(tqdm, total=len(names), desc="specimens", leave=False)
+    silent = bool(os.environ.get("STUDY_BATCH"))  # tqdm's own variable does not reach its notebook bar
+    progress = partial(tqdm, total=len(names), desc="specimens", leave=False, disable=silent)
     if workers == 1:
         return list(progress(map(function, names)))
     from study.prepare import warm  # kernels are compiled once, before several processes would do it
@@ -174,8 +179,9 @@ def run_appendix(
     Returns
     -------
     pandas.DataFrame
-        A row per name in the order given: the printed columns in printed order, then ``verified``,
-        ``strategy``, ``dof``, ``seed``. The same arguments give the same rows, times of planning apart.
+        A row per name in the order given, indexed by it: the printed columns in printed order, then
+        ``verified``, ``strategy``, ``dof``, ``seed``. The same arguments give the same rows, times of
+        planning apart.
 
     Raises
     ------
@@ -189,24 +195,23 @@ def run_appendix(
     one = partial(appendix_row, strategy=strategy, dof=dof, seed=seed, feed=feed)
     rows = pd.DataFrame(over_specimens(one, names, workers))
     columns = [name for name in published.table(PRINTED[strategy, dof]).columns if name in rows]
-    return rows[[*columns, "verified", "strategy", "dof", "seed"]]
+    return rows[[*columns, "verified", "strategy", "dof", "seed"]].set_index("specimen")
 
 
 def appendix_file(strategy: str, dof: int = 4) -> str:
-    """Name of the file `appendix_table` keeps its rows in."""
+    """Name of the file that ``appendix_a.ipynb`` writes its rows to."""
     return f"appendix_a_{strategy}_{dof}dof.csv"
 
 
-def appendix_table(
+def appendix_rows(
     names: Sequence[str],
     strategy: str = "3d",
     dof: int = 4,
     folder: str | os.PathLike[str] = "",
     seed: int = 0,
     workers: int = 0,
-    reuse: bool = False,
 ) -> pd.DataFrame:
-    """Rows of the appendix, kept as CSV.
+    """Rows of the appendix, from the file that ``appendix_a.ipynb`` wrote or, where they are missing, anew.
 
     Parameters
     ----------
@@ -214,30 +219,25 @@ def appendix_table(
     strategy, dof, seed, workers
         As for `run_appendix`.
     folder : path-like
-        Where the file is; ``""`` stands for ``figures/``.
-    reuse : bool
-        Take the rows of a file that is already there if it holds all of these specimens, planned with
-        this seed. Without it every row is computed anew and the file written.
+        Where `appendix_file` is looked for; ``""`` stands for ``figures/``. Nothing is written there.
 
     Returns
     -------
     pandas.DataFrame
-        Indexed by specimen, in the order of `names`.
+        As of `run_appendix`. A file is used only if it holds all of the specimens, planned with this seed.
 
     Raises
     ------
     FileFormatError
-        If the file that shall be reused is no such table.
+        If the file is no such table.
     """
     path = output_folder(folder) / appendix_file(strategy, dof)
-    if reuse and path.is_file():
+    if path.is_file():
         try:
             kept = pd.read_csv(path).set_index("specimen")
             same = (kept["strategy"] == strategy) & (kept["dof"] == dof) & (kept["seed"] == seed)
         except (KeyError, ValueError) as error:
-            raise FileFormatError(f"{path}: expected the rows of an appendix, {error} is missing") from error
+            raise FileFormatError(f"{path}: expected the rows of an appendix: {error}") from error
         if set(names) <= set(kept.index[same]):
             return kept.loc[list(names)]
-    rows = run_appendix(names, strategy, dof, workers, seed)
-    save_table(rows, path)
-    return rows.set_index("specimen")
+    return run_appendix(names, strategy, dof, workers, seed)

@@ -5,13 +5,14 @@ The same functions judge the printed tables (A.1, A.2) and our own, because the 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Literal
 
 import numpy as np
 import pandas as pd
 
 from study.errors import InputError
-from study.milling_times import fitted_line
+from study.milling_times import NAMES, FittedLine, fitted_line
 from study.tables import Claim, PairedComparison, paired_comparison, with_interval, with_unit
 
 Where = Literal["printed", "measured"]
@@ -180,6 +181,45 @@ def slope_claim(zigzag: pd.DataFrame, three_d: pd.DataFrame, where: Where) -> Cl
         f"3-D {with_interval(slopes[1], 's/cm³')}",
         where,
     )
+
+
+def experiment_claims(
+    milled: Mapping[str, FittedLine],
+    simulated: Mapping[str, FittedLine],
+    same_bones: Mapping[str, FittedLine],
+) -> list[Claim]:
+    """Section 2.5.2: the milled bones' times rise faster with the volume than the simulated ones.
+
+    Parameters
+    ----------
+    milled : mapping of strategy to FittedLine
+        Of the measured times of table 2.3.
+    simulated, same_bones : mapping of strategy to FittedLine
+        Of the printed predictions: of all 36 bones, and of those that were milled.
+
+    Returns
+    -------
+    list of Claim
+        Two a strategy. Against all bones the slopes are compared as the text compares them, number by
+        number; against the same bones the claim holds if the predicted slope lies below the interval
+        of the measured one.
+    """
+    claims = []
+    for strategy, line in milled.items():
+        for others, bones in ((simulated, "all 36 bones"), (same_bones, "the bones that were milled")):
+            other = others[strategy].slope
+            percent = 200 * (line.slope.mean - other.mean) / (line.slope.mean + other.mean)
+            above = line.slope.mean > other.mean if others is simulated else line.slope.low > other.mean
+            claims.append(
+                Claim(
+                    f"Milled with the {NAMES[strategy]} plan, times rise faster than predicted for {bones}",
+                    bool(above),
+                    f"{with_interval(line.slope, 's/cm³')} against {with_interval(other, 's/cm³')}, "
+                    f"{percent:.1f} % (symmetric)",
+                    "printed",
+                )
+            )
+    return claims
 
 
 def strategy_claims(rows: pd.DataFrame, printed: pd.DataFrame) -> list[Claim]:

@@ -25,6 +25,8 @@ class FeedSettings:
 
         speed = removal_rate / q, kept within min_speed and max_speed.
 
+    What the choice decides is shown by the other laws of `study.robots.feed_laws`.
+
     Parameters
     ----------
     min_speed, max_speed : float
