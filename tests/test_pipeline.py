@@ -146,6 +146,25 @@ def test_profile_gives_only_parameters_that_the_notebook_has(path, profile):
     checked_parameters(declared, profile_parameters(path.stem, profile), path.name)
 
 
+@pytest.mark.parametrize("profile", PROFILES)
+def test_notebooks_that_share_rows_take_the_same_specimens(profile):
+    """Otherwise one stage would replace the rows that another one made."""
+    notebooks = {
+        Path(notebook_of(stage)).stem
+        for stage in NOTEBOOK_STAGES.values()
+        if any(Path(path).name.startswith("appendix_a_") for path in [*stage["deps"], *outputs(stage)])
+    }
+    asked = {
+        profile_parameters(name, profile).get("specimens", default)
+        for name in notebooks
+        for key, default in declared_parameters(
+            nbformat.read(PROJECT / "notebooks" / f"{name}.ipynb", as_version=4)
+        ).items()
+        if key == "specimens"
+    }
+    assert len(asked) <= 1
+
+
 def test_profile_without_its_notebook_is_an_error():
     for profile, notebooks in PROFILES.items():
         assert set(notebooks) <= {path.stem for path in NOTEBOOKS}, profile
