@@ -241,7 +241,7 @@ def strategy_claims(rows: pd.DataFrame, printed: pd.DataFrame) -> list[Claim]:
     left = rows["modified_final_over_initial_ratio"]
     claims = [
         Claim(
-            "No plan cuts protected bone and no shaft touches bone, by an independent replay",
+            "No plan and no rounded path cuts protected bone or drives the shaft into bone, by replay",
             verified == n,
             f"{verified} of {n}",
             "measured",

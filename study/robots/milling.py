@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -111,6 +111,27 @@ class Milling:
     def trajectory(self) -> JointTrajectory:
         """Joints over time."""
         return joint_trajectory(self.path, self.plan.axes, self.step_times, self.robot)
+
+    def verify(self) -> pd.Series:
+        """Replay burr and shaft along the trajectory, chords of its arcs included, as `Plan.verify` does.
+
+        The plan was verified along its own corners; this says that rounding them broke nothing. It
+        does so by default, because corners at which bone is removed are kept (`RoundingSettings`).
+
+        Returns
+        -------
+        pandas.Series
+            As of `Plan.verify`.
+
+        Raises
+        ------
+        PlanViolation
+            If the burr cuts protected bone or the shaft meets unmilled bone.
+        """
+        points, axes = self.robot.forward(self.trajectory.joints)
+        driven = replace(self.plan, points=points, axes=axes, removed=np.zeros(len(points)), remaining=None)
+        everywhere = np.ones(self.plan.modified.volume.shape)
+        return replace(driven, removed=weighted_removal(driven, everywhere)).verify()
 
     def summary(self) -> pd.Series:
         """The columns of tables A.1 and A.2 that the robot decides (lengths truly in mm)."""

@@ -30,6 +30,9 @@ class RoundingSettings:
         centre, at a corner between two grid steps, over the voxels it was planned over. 0 rounds nothing.
     keep_unsafe_corners : bool
         Keep a corner whose arc would cut a protected voxel that the planned corner does not cut.
+    keep_cutting_corners : bool
+        Keep a corner at which the plan removes bone: the arc would leave some of it standing, and the
+        shaft, planned for a place without it, would meet it later. Not printed.
 
     Raises
     ------
@@ -39,6 +42,7 @@ class RoundingSettings:
 
     corner_tolerance: float = 0.5
     keep_unsafe_corners: bool = True
+    keep_cutting_corners: bool = True
 
     def __post_init__(self) -> None:
         if not np.isfinite(self.corner_tolerance) or self.corner_tolerance < 0:
@@ -217,7 +221,7 @@ def rounding_is_safe(plan: Plan, path: RoundedPath) -> np.ndarray:
     along the arc (at nine samples, widened by what it covers between two of them) and along the two
     legs that the arc replaces (samples only): the check errs towards keeping a corner. The volume's
     outside counts as protected. The drill's shaft moves with the burr by at most the corner
-    tolerance and is not checked again.
+    tolerance and is not looked at here; `Milling.verify` replays it.
 
     Parameters
     ----------
@@ -271,6 +275,29 @@ def rounding_is_safe(plan: Plan, path: RoundedPath) -> np.ndarray:
     return safe
 
 
+def removal_at_corners(path: RoundedPath, removed: np.ndarray) -> np.ndarray:
+    """Bone that the plan removes on the legs each arc replaces.
+
+    Parameters
+    ----------
+    path : RoundedPath
+    removed : (n,) array
+        mm^3 removed on the way to each planned point.
+
+    Returns
+    -------
+    (k,) array
+        mm^3, one a corner.
+    """
+    centre = path.planned_s[path.corners]
+    total = np.concatenate([[0.0], np.cumsum(removed)])
+    # Step j leads to point j + 1. The first step that reaches into the arc, and the last.
+    first = np.searchsorted(path.planned_s, centre - path.reaches + 1e-9, side="right") - 1
+    last = np.searchsorted(path.planned_s, centre + path.reaches - 1e-9, side="left") - 1
+    first, last = np.minimum(first, path.corners - 1), np.maximum(last, path.corners)
+    return np.maximum(total[last + 2] - total[first + 1], 0.0)
+
+
 def round_plan(plan: Plan, settings: RoundingSettings | None = None) -> RoundedPath:
     """The plan's path with its corners rounded, unsafe ones kept.
 
@@ -286,8 +313,13 @@ def round_plan(plan: Plan, settings: RoundingSettings | None = None) -> RoundedP
     settings = RoundingSettings() if settings is None else settings
     tolerance = settings.corner_tolerance * float(plan.modified.volume.spacing.min())
     path = round_corners(plan.points, plan.axes, tolerance)
+    keep = np.zeros(path.corners.size, bool)
+    if settings.keep_cutting_corners:
+        keep |= removal_at_corners(path, plan.removed) > 0
     if settings.keep_unsafe_corners:
-        reaches = np.where(rounding_is_safe(plan, path), path.reaches, 0.0)
+        keep |= ~rounding_is_safe(plan, path)
+    if keep.any():
+        reaches = np.where(keep, 0.0, path.reaches)
         path = _rounded(
             path.points, (path.corners, path.turns, path.incoming, path.outgoing), path.planned_s, reaches
         )
