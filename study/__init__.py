@@ -10,7 +10,7 @@ Lengths are millimetres, angles radians (degrees only in names that say so), poi
 float64 arrays in the volume's mm frame (LPS: +x left, +y posterior, +z superior).
 """
 
-from study._compiled_cache import use_versioned_cache
+from study._compiled import use_versioned_cache
 
 __version__ = "0.1.0"
 

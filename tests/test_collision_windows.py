@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 from study.collision import Drill, build_shaft, window
 from study.collision import _kernels as kernels
+from study.collision.exact import _kernels as exact
 from study.errors import InputError
 
 
@@ -145,12 +146,12 @@ def test_exact_cylinder_never_misses_a_sampled_overlap_and_never_invents_one(see
     high = low + rng.uniform(0.2, 0.6, 3)
     radius, start = rng.uniform(0.2, 1.0), rng.uniform(0, 1)
     end = start + rng.uniform(0.2, 2)
-    answer = kernels.cylinder_overlaps_box(centre, axis, radius, start, end, low, high)
+    answer = exact.cylinder_overlaps_box(centre, axis, radius, start, end, low, high)
     if brute_cylinder_distance(centre, axis, radius, start, end, low, high, rng):
         assert answer
     else:
         # nothing sampled: then a slightly smaller cylinder and box cannot overlap deeply
-        shrunk = kernels.cylinder_overlaps_box(
+        shrunk = exact.cylinder_overlaps_box(
             centre, axis, radius - 0.12, start + 0.06, end - 0.06, low + 0.05, high - 0.05
         )
         assert not shrunk or radius <= 0.12
@@ -159,11 +160,11 @@ def test_exact_cylinder_never_misses_a_sampled_overlap_and_never_invents_one(see
 def test_axis_through_the_box_overlaps_and_touching_does_not():
     box = np.array([-0.5, -0.5, 2.0]), np.array([0.5, 0.5, 3.0])
     axis, centre = np.array([0.0, 0.0, 1.0]), np.zeros(3)
-    assert kernels.cylinder_overlaps_box(centre, axis, 0.1, 0.0, 2.5, *box)
-    assert not kernels.cylinder_overlaps_box(centre, axis, 0.1, 0.0, 2.0, *box)
+    assert exact.cylinder_overlaps_box(centre, axis, 0.1, 0.0, 2.5, *box)
+    assert not exact.cylinder_overlaps_box(centre, axis, 0.1, 0.0, 2.0, *box)
     beside = np.array([0.6, 0.0, 0.0])
-    assert not kernels.cylinder_overlaps_box(beside, axis, 0.1, 0.0, 5.0, *box)
-    assert kernels.cylinder_overlaps_box(beside, axis, 0.1001, 0.0, 5.0, *box)
+    assert not exact.cylinder_overlaps_box(beside, axis, 0.1, 0.0, 5.0, *box)
+    assert exact.cylinder_overlaps_box(beside, axis, 0.1001, 0.0, 5.0, *box)
 
 
 @pytest.mark.parametrize(

@@ -12,8 +12,9 @@ from __future__ import annotations
 from math import acos, asin, atan2, ceil, cos, floor, hypot, inf, sin, sqrt, tan
 from typing import NamedTuple
 
-import numba as nb
 import numpy as np
+
+from study._compiled import inner, kernel
 
 ONE = np.uint64(1)
 ALL = np.uint64(0xFFFFFFFFFFFFFFFF)
@@ -44,7 +45,7 @@ class Shaft(NamedTuple):
     max_tilt: float  # radians
 
 
-@nb.njit(cache=True)
+@inner
 def _widen(point_u, point_w, start, radius, low, high):
     rho = hypot(point_u, point_w)
     if rho < start * (1 - 1e-12):
@@ -57,7 +58,7 @@ def _widen(point_u, point_w, start, radius, low, high):
     return min(low, phi - delta), max(high, phi + delta)
 
 
-@nb.njit(cache=True)
+@inner
 def blocked_interval(u0, u1, w0, w1, start, radius):
     """Angles at which the strip overlaps the box ``[u0, u1] x [w0, w1]``; (inf, -inf) if none.
 
@@ -88,7 +89,7 @@ def blocked_interval(u0, u1, w0, w1, start, radius):
     return low, high
 
 
-@nb.njit(cache=True)
+@kernel
 def interval_tables(shape, inward, half, radius, start, step_layer, step_depth, step_lateral, burr_radius):
     """Blocked interval of every cell relative to the burr's voxel; mirrored for negative lateral offsets.
 
@@ -121,7 +122,7 @@ def interval_tables(shape, inward, half, radius, start, step_layer, step_depth, 
     return low, high, near, valley
 
 
-@nb.njit(cache=True)
+@kernel
 def collapse_slabs(solid, half, slab, bits, outermost):
     """Count solid voxels of every slab by a running sum over the layers; set a bit where there are any."""
     n_layer, n_depth, n_lateral = solid.shape
@@ -155,7 +156,7 @@ def collapse_slabs(solid, half, slab, bits, outermost):
                         word = np.uint64(0)
 
 
-@nb.njit(cache=True)
+@kernel
 def remove_from_slabs(shaft, layer, depth, lateral):
     """Take one voxel, just milled, out of the collapsed slabs."""
     n_layer = shaft.slab.shape[1]
@@ -168,13 +169,13 @@ def remove_from_slabs(shaft, layer, depth, lateral):
                 shaft.bits[i, m, depth, lateral >> 6] &= ~(ONE << np.uint64(lateral & 63))
 
 
-@nb.njit(cache=True)
+@inner
 def _lowest_bit(word):
     """Index of the lowest set bit of a non-zero word, by a de Bruijn product."""
     return BIT_INDEX[((word & (~word + ONE)) * DE_BRUIJN) >> np.uint64(58)]
 
 
-@nb.njit(cache=True)
+@inner
 def _subtract(gaps, n, low, high, min_width, current_low, current_high, min_overlap):
     """Take [low, high] out of the first n gaps; drop what is too narrow or overlaps too little. New n.
 
@@ -200,7 +201,7 @@ def _subtract(gaps, n, low, high, min_width, current_low, current_high, min_over
     return kept
 
 
-@nb.njit(cache=True)
+@inner
 def _run_interval(shaft, i, row, first, last):
     """Interval blocked by a row's cells from lateral offset `first` to `last`; (inf, -inf) if none.
 
@@ -221,7 +222,7 @@ def _run_interval(shaft, i, row, first, last):
     return low, high
 
 
-@nb.njit(cache=True)
+@kernel
 def accessible_window(shaft, layer, depth, lateral, current_low, current_high, min_width, min_overlap):
     """The range of accessible angles of a voxel that overlaps the current range most.
 
@@ -290,7 +291,7 @@ def accessible_window(shaft, layer, depth, lateral, current_low, current_high, m
     return True, gaps[0, best], gaps[1, best]
 
 
-@nb.njit(cache=True)
+@kernel
 def pose_is_free(shaft, layer, depth, lateral, theta):
     """Whether the shaft at this (fractional) position and tilt avoids the collapsed slabs. Conservative."""
     n_layer, n_depth, n_lateral = shaft.slab.shape[1], shaft.slab.shape[2], shaft.slab.shape[3]
@@ -328,130 +329,3 @@ def pose_is_free(shaft, layer, depth, lateral, theta):
                         continue
                     return False
     return True
-
-
-@nb.njit(cache=True)
-def _distance_to_segment(x0, y0, x1, y1):
-    dx, dy = x1 - x0, y1 - y0
-    length = dx * dx + dy * dy
-    t = 0.0
-    if length > 0.0:
-        t = min(1.0, max(0.0, -(x0 * dx + y0 * dy) / length))
-    return hypot(x0 + t * dx, y0 + t * dy)
-
-
-@nb.njit(cache=True)
-def cylinder_overlaps_box(centre, axis, radius, start, end, box_low, box_high):
-    """Whether a solid cylinder and a box overlap, exactly (touching is not overlapping).
-
-    The cylinder has its axis through `centre` along the unit vector `axis`, from `start` to `end` mm.
-    The box, cut by the planes of the two end caps, is projected along the axis; what is left is the
-    distance from a point to a convex polygon.
-    """
-    # Does the axis itself pass through the box between the caps?
-    enter, leave = start, end
-    for n in range(3):
-        if axis[n] == 0.0:
-            if not box_low[n] < centre[n] < box_high[n]:
-                enter, leave = 1.0, 0.0
-                break
-        else:
-            a = (box_low[n] - centre[n]) / axis[n]
-            z = (box_high[n] - centre[n]) / axis[n]
-            enter, leave = max(enter, min(a, z)), min(leave, max(a, z))
-    if enter < leave:
-        return True
-    # Vertices of the box between the caps, and where its edges cross them, seen along the axis.
-    small = 0
-    for n in range(3):
-        if abs(axis[n]) < abs(axis[small]):
-            small = n
-    helper = np.zeros(3)
-    helper[small] = 1.0
-    e1 = np.cross(axis, helper)
-    e1 /= sqrt(e1[0] ** 2 + e1[1] ** 2 + e1[2] ** 2)
-    e2 = np.cross(axis, e1)
-    x = np.empty(8)
-    y = np.empty(8)
-    t = np.empty(8)
-    for v in range(8):
-        p0 = (box_high[0] if v & 1 else box_low[0]) - centre[0]
-        p1 = (box_high[1] if v & 2 else box_low[1]) - centre[1]
-        p2 = (box_high[2] if v & 4 else box_low[2]) - centre[2]
-        t[v] = p0 * axis[0] + p1 * axis[1] + p2 * axis[2]
-        x[v] = p0 * e1[0] + p1 * e1[1] + p2 * e1[2]
-        y[v] = p0 * e2[0] + p1 * e2[1] + p2 * e2[2]
-    hull_x = np.empty(32)
-    hull_y = np.empty(32)
-    n_hull = 0
-    for v in range(8):
-        if start < t[v] < end:
-            hull_x[n_hull], hull_y[n_hull] = x[v], y[v]
-            n_hull += 1
-        for bit in (1, 2, 4):
-            o = v | bit
-            if o == v:
-                continue
-            for cap in (start, end):
-                if (t[v] - cap) * (t[o] - cap) < 0.0:
-                    f = (cap - t[v]) / (t[o] - t[v])
-                    hull_x[n_hull] = x[v] + f * (x[o] - x[v])
-                    hull_y[n_hull] = y[v] + f * (y[o] - y[v])
-                    n_hull += 1
-    limit = radius * (1 - 1e-12)
-    for a in range(n_hull):
-        for z in range(a, n_hull):
-            if _distance_to_segment(hull_x[a], hull_y[a], hull_x[z], hull_y[z]) < limit:
-                return True
-    return False
-
-
-@nb.njit(cache=True)
-def drill_overlaps_voxels(solid, spacing, position, axis, cylinders, hit):
-    """Whether the drill's shaft at a pose overlaps a solid voxel; `hit` receives the voxel's index.
-
-    `position` is in mm of the index frame (voxel centre = index x spacing). Exact: every solid voxel
-    near a cylinder is tested by `cylinder_overlaps_box`.
-    """
-    shape = solid.shape
-    low = np.empty(3)
-    high = np.empty(3)
-    for c in range(cylinders.shape[0]):
-        radius, start, end = cylinders[c, 0], cylinders[c, 1], cylinders[c, 2]
-        first = np.empty(3, np.int64)
-        last = np.empty(3, np.int64)
-        for n in range(3):
-            a = position[n] + axis[n] * start
-            z = position[n] + axis[n] * end
-            reach = radius * sqrt(max(0.0, 1.0 - axis[n] * axis[n])) + spacing[n] / 2
-            first[n] = max(0, ceil((min(a, z) - reach) / spacing[n]))
-            last[n] = min(shape[n] - 1, floor((max(a, z) + reach) / spacing[n]))
-        bound = radius + 0.5 * sqrt(spacing[0] ** 2 + spacing[1] ** 2 + spacing[2] ** 2)
-        for i in range(first[0], last[0] + 1):
-            p0 = i * spacing[0] - position[0]
-            for j in range(first[1], last[1] + 1):
-                p1 = j * spacing[1] - position[1]
-                # Voxels of this column whose centres are within `bound` of the axis: a k interval.
-                c0, c1 = p0 * axis[0] + p1 * axis[1], p0 * p0 + p1 * p1
-                k0, k1 = first[2], last[2]
-                square = 1.0 - axis[2] * axis[2]
-                if square > 1e-9:
-                    middle = c0 * axis[2] / square
-                    rest = middle * middle - (c1 - c0 * c0 - bound * bound) / square
-                    if rest < 0.0:
-                        continue
-                    rest = sqrt(rest)
-                    k0 = max(k0, floor((position[2] + middle - rest) / spacing[2]))
-                    k1 = min(k1, ceil((position[2] + middle + rest) / spacing[2]))
-                elif c1 > bound * bound:
-                    continue
-                for k in range(k0, k1 + 1):
-                    if solid[i, j, k] == 0:
-                        continue
-                    low[0], high[0] = (i - 0.5) * spacing[0], (i + 0.5) * spacing[0]
-                    low[1], high[1] = (j - 0.5) * spacing[1], (j + 0.5) * spacing[1]
-                    low[2], high[2] = (k - 0.5) * spacing[2], (k + 0.5) * spacing[2]
-                    if cylinder_overlaps_box(position, axis, radius, start, end, low, high):
-                        hit[0], hit[1], hit[2] = i, j, k
-                        return True
-    return False

@@ -26,7 +26,7 @@ class Drill:
     Raises
     ------
     InputError
-        If a length is not positive and finite, the shaft is wider than the burr, or the ends do not grow.
+        If a length is not positive and finite, the shaft is wider than the burr, or ends do not grow.
     """
 
     burr_diameter: float = 5.0
@@ -37,7 +37,7 @@ class Drill:
         values = np.array([self.burr_diameter, *self.shaft_diameters, *self.shaft_ends], dtype=float)
         if values.size != 7 or not np.isfinite(values).all() or (values <= 0).any():
             raise InputError(
-                "Drill: expected a burr diameter, three shaft diameters and three shaft ends, all positive mm; "
+                "Drill: expected a burr diameter, three shaft diameters and three shaft ends, positive mm; "
                 f"got {self.burr_diameter}, {self.shaft_diameters}, {self.shaft_ends}"
             )
         if self.shaft_diameters[0] >= self.burr_diameter:

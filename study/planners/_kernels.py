@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from math import acos, ceil, floor, sin, sqrt
 
-import numba as nb
 import numpy as np
 
-from study.collision._kernels import drill_overlaps_voxels
+from study._compiled import inner, kernel
+from study.collision.exact._kernels import drill_overlaps_voxels
 from study.planners.simulation._kernels import segment_overlaps_box
 
 FINE, CUT_PROTECTED, LEFT_IMAGE, SHAFT_HIT, WRONG_REMOVAL = 0, 1, 2, 3, 4
 
 
-@nb.njit(cache=True)
+@inner
 def _sweep_ball(solid, spacing, a, b, radius, hit):
     """Remove what a ball moving from a to b overlaps. Returns (status, voxels removed)."""
     first = np.empty(3, np.int64)
@@ -45,7 +45,7 @@ def _sweep_ball(solid, spacing, a, b, radius, hit):
     return FINE, removed
 
 
-@nb.njit(cache=True)
+@kernel
 def replay(solid, spacing, points, axes, removed, radius, cylinders, lever, hit):
     """Replay a plan on `solid` (1 protected, 2 target), which is changed.
 

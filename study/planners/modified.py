@@ -82,7 +82,7 @@ def check_planning_volume(volume: LabelVolume) -> tuple[np.ndarray, np.ndarray]:
             if touching:
                 raise PlanningError(
                     f"{touching} target voxels lie in the {end} plane of axis {'ijk'[axis]}; what is beyond "
-                    "the edge of the image is unknown: expected target inside it (LabelVolume.padded adds air)"
+                    "the edge of the image is unknown: expected target inside (LabelVolume.padded adds air)"
                 )
     return air, target
 

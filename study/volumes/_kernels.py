@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import numba as nb
 import numpy as np
 
+from study._compiled import inner, kernel
 
-@nb.njit(cache=True)
+
+@inner
 def _widened_rows(mask, reach, out):
     """``out[w]`` is `mask` dilated by w voxels along its last axis, for w = 0..reach."""
     n0, n1, n2 = mask.shape
@@ -26,7 +27,7 @@ def _widened_rows(mask, reach, out):
                     out[w, i, j, k] = distance[k] <= w
 
 
-@nb.njit(cache=True)
+@kernel
 def dilate_by_rows(mask, rows, reach):
     """Dilate a mask by the element whose rows are (offset, offset, reach along the last axis)."""
     n0, n1, n2 = mask.shape

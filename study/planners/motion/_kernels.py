@@ -5,9 +5,9 @@ The burr's pose is a float64 array: layer, depth, lateral, tilt, low and high en
 
 from __future__ import annotations
 
-import numba as nb
 import numpy as np
 
+from study._compiled import inner
 from study.collision._kernels import accessible_window, pose_is_free
 from study.planners.simulation._kernels import (
     clear_supervoxel,
@@ -22,13 +22,13 @@ NEIGHBOURS = np.array([[0, -1, 0], [-1, 0, 0], [1, 0, 0], [0, 0, -1], [0, 0, 1],
 ANY_TARGET, ONE_VOXEL, SLICE = 0, 1, 2  # what a search looks for
 
 
-@nb.njit(cache=True)
+@inner
 def window_from(sim, low, high, layer, depth, lateral):
     """Window of accessible angles of a voxel, as seen from a neighbour with the window [low, high]."""
     return accessible_window(sim.shaft, layer, depth, lateral, low, high, sim.min_window, sim.min_overlap)
 
 
-@nb.njit(cache=True)
+@inner
 def tilt_between(tilt, low, high, next_low, next_high):
     """Tilt at which to pass from one window to the next: the present one if it may stay."""
     a, z = max(low, next_low), min(high, next_high)
@@ -38,7 +38,7 @@ def tilt_between(tilt, low, high, next_low, next_high):
     return min(max(tilt, a + margin), z - margin)
 
 
-@nb.njit(cache=True)
+@inner
 def turn(sim, burr, tilt):
     """Tilt the shaft in place."""
     if tilt != burr[3]:
@@ -46,7 +46,7 @@ def turn(sim, burr, tilt):
         record(sim, burr[0], burr[1], burr[2], tilt, 0)
 
 
-@nb.njit(cache=True)
+@inner
 def arrive(sim, burr, layer, depth, lateral, low, high):
     """Book-keeping at a voxel the burr has just reached with the window [low, high]."""
     clear_supervoxel(sim, layer, depth, lateral)
@@ -55,7 +55,7 @@ def arrive(sim, burr, layer, depth, lateral, low, high):
     sim.stood[layer, depth, lateral, 1] = np.float32(high - 1e-6)
 
 
-@nb.njit(cache=True)
+@inner
 def step_to(sim, burr, layer, depth, lateral, low, high):
     """Move to a voxel that shares a face with the present one."""
     turn(sim, burr, tilt_between(burr[3], burr[4], burr[5], low, high))
@@ -64,7 +64,7 @@ def step_to(sim, burr, layer, depth, lateral, low, high):
     arrive(sim, burr, layer, depth, lateral, low, high)
 
 
-@nb.njit(cache=True)
+@inner
 def direct_step(sim, burr, layer, depth, lateral, low, high):
     """Move straight to a voxel up to reach + 1 away, checking every part on the way; False if barred."""
     l0, d0, b0 = int(burr[0]), int(burr[1]), int(burr[2])
@@ -86,7 +86,7 @@ def direct_step(sim, burr, layer, depth, lateral, low, high):
     return True
 
 
-@nb.njit(cache=True)
+@inner
 def short_path(sim, burr, layer, depth, lateral):
     """The simple objective planner (2.2.6): step by step through the box between burr and goal.
 
@@ -140,7 +140,7 @@ def short_path(sim, burr, layer, depth, lateral):
     return True
 
 
-@nb.njit(cache=True)
+@inner
 def find_way(sim, search, burr, goal):
     """Flood outwards from the burr through positions whose windows overlap, to the nearest goal.
 
@@ -203,7 +203,7 @@ def find_way(sim, search, burr, goal):
     return -1
 
 
-@nb.njit(cache=True)
+@inner
 def go(sim, search, burr, goal):
     """Relocate to the nearest goal of `find_way`; False (and no move) if there is no way."""
     length = find_way(sim, search, burr, goal)

@@ -5,9 +5,9 @@ from __future__ import annotations
 from math import sqrt
 from typing import NamedTuple
 
-import numba as nb
 import numpy as np
 
+from study._compiled import inner, kernel
 from study.collision._kernels import Shaft, remove_from_slabs
 
 PROTECTED, TARGET = 1, 2  # values of `solid`
@@ -41,7 +41,7 @@ class Simulation(NamedTuple):
     random: np.ndarray  # uint32, drawn in numpy
 
 
-@nb.njit(cache=True)
+@kernel
 def segment_overlaps_box(ax, ay, az, bx, by, bz, hx, hy, hz, radius):
     """Whether a ball moving from a to b overlaps a box centred on the origin with half sizes h.
 
@@ -76,7 +76,7 @@ def segment_overlaps_box(ax, ay, az, bx, by, bz, hx, hy, hz, radius):
     return False
 
 
-@nb.njit(cache=True)
+@kernel
 def swept_parts(longest, steps, radius):
     """Voxels a ball overlaps on each part of a straight move to a non-negative offset.
 
@@ -118,7 +118,7 @@ def swept_parts(longest, steps, radius):
     return first, count, offsets[:used].copy()
 
 
-@nb.njit(cache=True)
+@inner
 def _shift_top(top, top_rows, layer, depth, lateral, by):
     for r in range(top_rows.shape[0]):
         row = top[layer - top_rows[r, 0], depth - top_rows[r, 1]]
@@ -126,7 +126,7 @@ def _shift_top(top, top_rows, layer, depth, lateral, by):
             row[m] += by
 
 
-@nb.njit(cache=True)
+@kernel
 def count_top(solid, top_rows, modified, top):
     """Fill `top` from scratch where `modified` is set, by prefix sums along the lateral axis."""
     n_layer, n_depth, n_lateral = solid.shape
@@ -147,7 +147,7 @@ def count_top(solid, top_rows, modified, top):
                 top[layer, d, b] = n
 
 
-@nb.njit(cache=True)
+@kernel
 def count_covers(modified, allowed, reach, near, covers, crowded):
     """Fill `covers` and `crowded` within the box `near` from scratch."""
     for layer in range(near[0, 0], near[1, 0]):
@@ -168,14 +168,14 @@ def count_covers(modified, allowed, reach, near, covers, crowded):
                 crowded[layer, d, b] = blocked
 
 
-@nb.njit(cache=True)
+@inner
 def _mill(sim, layer, depth, lateral):
     sim.solid[layer, depth, lateral] = 0
     remove_from_slabs(sim.shaft, layer, depth, lateral)
     _shift_top(sim.top, sim.top_rows, layer, depth, lateral, np.uint16(65535))  # minus one, modulo 2^16
 
 
-@nb.njit(cache=True)
+@inner
 def mill_ball(sim, layer, depth, lateral):
     """Remove the targeted voxels the burr overlaps at a voxel; how many there were."""
     removed = 0
@@ -187,7 +187,7 @@ def mill_ball(sim, layer, depth, lateral):
     return removed
 
 
-@nb.njit(cache=True)
+@inner
 def sweep_is_safe(sim, layer, depth, lateral, move):
     """Whether the burr cuts no protected voxel on a straight move of up to reach + 1 voxels."""
     a, b, c = abs(move[0]), abs(move[1]), abs(move[2])
@@ -202,7 +202,7 @@ def sweep_is_safe(sim, layer, depth, lateral, move):
     return True
 
 
-@nb.njit(cache=True)
+@inner
 def mill_sweep(sim, layer, depth, lateral, move, part):
     """Remove the targeted voxels the burr overlaps on one part of a straight move; how many."""
     a, b, c = abs(move[0]), abs(move[1]), abs(move[2])
@@ -218,7 +218,7 @@ def mill_sweep(sim, layer, depth, lateral, move, part):
     return removed
 
 
-@nb.njit(cache=True)
+@inner
 def _uncover(sim, layer, depth, lateral):
     for i in range(layer - sim.reach[0], layer + sim.reach[0] + 1):
         for j in range(depth - sim.reach[1], depth + sim.reach[1] + 1):
@@ -226,7 +226,7 @@ def _uncover(sim, layer, depth, lateral):
                 sim.covers[i, j, k] -= np.uint16(1)
 
 
-@nb.njit(cache=True)
+@inner
 def clear_supervoxel(sim, layer, depth, lateral):
     """Mark what the supervoxel clears: its centre, and whatever in it is not target boundary."""
     if sim.modified[layer, depth, lateral] == BOUNDARY:
@@ -243,7 +243,7 @@ def clear_supervoxel(sim, layer, depth, lateral):
                     _uncover(sim, i, j, k)
 
 
-@nb.njit(cache=True)
+@inner
 def record(sim, layer, depth, lateral, tilt, removed):
     """Append a row to the path; sets the FULL counter instead when there is no room."""
     row = sim.counters[ROWS]
@@ -255,7 +255,7 @@ def record(sim, layer, depth, lateral, tilt, removed):
     sim.counters[ROWS] += 1
 
 
-@nb.njit(cache=True)
+@inner
 def draw(sim, n):
     """A random number below n from those drawn in numpy."""
     value = sim.random[sim.counters[DRAWN] % sim.random.size]

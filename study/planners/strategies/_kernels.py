@@ -7,6 +7,7 @@ from math import hypot
 import numba as nb
 import numpy as np
 
+from study._compiled import inner, kernel
 from study.collision._kernels import accessible_window
 from study.planners.motion._kernels import (
     ANY_TARGET,
@@ -30,7 +31,7 @@ TERM = nb.types.float64(
 # --- the five terms of the fitness (2.4.1), each between 0 and 1 -------------------------------------
 
 
-@nb.njit(cache=True)
+@inner
 def keep_direction(heading_layer, heading_lateral, move_layer, move_lateral):
     """(1) Preserve the current planar direction of movement: (1 + cosine) / 2; 1/2 without a direction."""
     length = hypot(heading_layer, heading_lateral) * hypot(move_layer, move_lateral)
@@ -39,25 +40,25 @@ def keep_direction(heading_layer, heading_lateral, move_layer, move_lateral):
     return 0.5 + 0.5 * (heading_layer * move_layer + heading_lateral * move_lateral) / length
 
 
-@nb.njit(cache=True)
+@inner
 def coverage(covered, supervoxel_size):
     """(2) Cover as many voxels as possible: share of the supervoxel that the step would clear."""
     return covered / supervoxel_size
 
 
-@nb.njit(cache=True)
+@inner
 def on_boundary(label):
     """(3) Put the supervoxel's centre on a target boundary voxel."""
     return 1.0 if label == BOUNDARY else 0.0
 
 
-@nb.njit(cache=True)
+@inner
 def spare_top_half(targeted, top_half_size):
     """(4) Little targeted bone in the outer half of the burr, which cuts badly."""
     return 1.0 - targeted / top_half_size
 
 
-@nb.njit(cache=True)
+@inner
 def upward(rise, largest_rise):
     """(5) Bias towards moving outwards."""
     return 0.5 + 0.5 * rise / largest_rise
@@ -66,7 +67,7 @@ def upward(rise, largest_rise):
 # --- 3-D ------------------------------------------------------------------------------------------------
 
 
-@nb.njit(cache=True)
+@inner
 def rank_candidates(sim, burr, heading, weights, terms, candidates, scores):
     """Candidate next positions within and next to the supervoxel (2.3.2), and their fitness (2.3.5).
 
@@ -114,7 +115,7 @@ def rank_candidates(sim, burr, heading, weights, terms, candidates, scores):
     return n
 
 
-@nb.njit(cache=True)
+@inner
 def take_step(sim, burr, layer, depth, lateral):
     """Move to a candidate if it is accessible: straight, or by a short path where it is crowded (2.3)."""
     free, low, high = window_from(sim, burr[4], burr[5], layer, depth, lateral)
@@ -127,7 +128,7 @@ def take_step(sim, burr, layer, depth, lateral):
     return short_path(sim, burr, layer, depth, lateral)
 
 
-@nb.njit(cache=True)
+@inner
 def begin(sim, burr, start):
     """Stand at the start voxel; False if it is not accessible."""
     limit = sim.shaft.max_tilt
@@ -141,7 +142,7 @@ def begin(sim, burr, start):
     return True
 
 
-@nb.njit(cache=True)
+@inner
 def return_home(sim, search, burr, start):
     """The way back to the start voxel (2.3.7); the way it came, reversed, if the search finds none."""
     if burr[0] == start[0] and burr[1] == start[1] and burr[2] == start[2]:
@@ -158,7 +159,7 @@ def return_home(sim, search, burr, start):
             turn(sim, burr, here[3])
 
 
-@nb.njit(cache=True)
+@kernel
 def run_3d(sim, search, start, weights, terms):
     """Mill by fitness until no target voxel can be reached, then go home."""
     burr = np.zeros(6)
@@ -194,7 +195,7 @@ def run_3d(sim, search, start, weights, terms):
 # --- 2.5-D zigzag ---------------------------------------------------------------------------------------
 
 
-@nb.njit(cache=True)
+@inner
 def _row_voxel(row_axis, row, depth, along):
     # Rows run along `row_axis` (0 layers, 2 laterals) and lie side by side along the other one.
     if row_axis == 2:
@@ -202,12 +203,12 @@ def _row_voxel(row_axis, row, depth, along):
     return along, depth, row
 
 
-@nb.njit(cache=True)
+@inner
 def _adjacent(burr, i, j, k):
     return abs(burr[0] - i) + abs(burr[1] - j) + abs(burr[2] - k) == 1
 
 
-@nb.njit(cache=True)
+@inner
 def _visit(sim, search, burr, i, j, k):
     """Step to a neighbouring voxel, or go to it the long way round."""
     if burr[0] == i and burr[1] == j and burr[2] == k:
@@ -220,13 +221,13 @@ def _visit(sim, search, burr, i, j, k):
     return go(sim, search, burr, np.array([ONE_VOXEL, i, j, k]))
 
 
-@nb.njit(cache=True)
+@inner
 def _has_work(sim, i, j, k):
     """Whether standing here would clear anything."""
     return sim.modified[i, j, k] == BOUNDARY or sim.covers[i, j, k] > 0
 
 
-@nb.njit(cache=True)
+@inner
 def _zigzag_layer(sim, search, burr, targeted, depth, row_axis, row_pitch):
     """Parallel rows over one layer, there and back, from the side nearer to the burr."""
     n_rows = targeted.shape[0] if row_axis == 2 else targeted.shape[2]
@@ -266,7 +267,7 @@ def _zigzag_layer(sim, search, burr, targeted, depth, row_axis, row_pitch):
         along_now = burr[2] if row_axis == 2 else burr[0]
 
 
-@nb.njit(cache=True)
+@kernel
 def run_zigzag(sim, search, start, targeted, row_axis, row_pitch, layer_pitch):
     """Layer by layer: rows, then a circuit around what is left at each slice's rim; pockets last."""
     burr = np.zeros(6)
@@ -295,7 +296,7 @@ def run_zigzag(sim, search, start, targeted, row_axis, row_pitch, layer_pitch):
     return True
 
 
-@nb.njit(cache=True)
+@kernel
 def drop_inaccessible(shaft, narrow, modified, min_width):
     """Initial accessibility pass (2.3.1): drop targeted voxels that protected bone alone walls off.
 

@@ -1,0 +1,1 @@
+"""The semantics of collision, stated once: finite cylinders against voxel cubes, no approximation."""
