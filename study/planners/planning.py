@@ -266,7 +266,7 @@ def _build(canonical: _Canonical, drill: Drill, settings: PlannerSettings):
         shaft=shaft,
         min_window=canonical.min_window,
         min_overlap=float(np.deg2rad(settings.min_overlap_deg)),
-        stood=np.zeros((*shape, 2), np.float32),
+        known=np.zeros((*shape, 2), np.float32),
         path=np.empty((40 * n_targeted + 20000, 5)),
         counters=np.array([0, n_targeted, 0, 0], dtype=np.int64),
         left_at_depth=np.count_nonzero(labels, axis=(0, 2)).astype(np.int64),

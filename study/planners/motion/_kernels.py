@@ -47,12 +47,18 @@ def turn(sim, burr, tilt):
 
 
 @inner
+def remember(sim, layer, depth, lateral, low, high):
+    """Keep a window for later searches: bone only disappears, so it stays free."""
+    sim.known[layer, depth, lateral, 0] = np.float32(low + 1e-6)  # rounded inwards
+    sim.known[layer, depth, lateral, 1] = np.float32(high - 1e-6)
+
+
+@inner
 def arrive(sim, burr, layer, depth, lateral, low, high):
     """Book-keeping at a voxel the burr has just reached with the window [low, high]."""
     clear_supervoxel(sim, layer, depth, lateral)
     burr[0], burr[1], burr[2], burr[4], burr[5] = layer, depth, lateral, low, high
-    sim.stood[layer, depth, lateral, 0] = np.float32(low + 1e-6)  # rounded inwards
-    sim.stood[layer, depth, lateral, 1] = np.float32(high - 1e-6)
+    remember(sim, layer, depth, lateral, low, high)
 
 
 @inner
@@ -182,11 +188,12 @@ def find_way(sim, search, burr, goal):
             if found != (look < 6) or stamp[other] == mark:
                 continue
             low, high = lows[flat], highs[flat]
-            a, z = np.float64(sim.stood[i, j, k, 0]), np.float64(sim.stood[i, j, k, 1])
-            # Bone only disappears: a window once found here is still free.
+            a, z = np.float64(sim.known[i, j, k, 0]), np.float64(sim.known[i, j, k, 1])
             free = z > a and z - a >= sim.min_window and min(z, high) - max(a, low) >= sim.min_overlap
             if not free:
                 free, a, z = window_from(sim, low, high, i, j, k)
+                if free:
+                    remember(sim, i, j, k, a, z)
             if not free:
                 continue
             stamp[other], came[other], lows[other], highs[other] = mark, n, a, z

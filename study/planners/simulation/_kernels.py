@@ -34,7 +34,7 @@ class Simulation(NamedTuple):
     shaft: Shaft
     min_window: float
     min_overlap: float
-    stood: np.ndarray  # float32 [..., 2]: window last found where the burr stood; 0, 0 if never
+    known: np.ndarray  # float32 [..., 2]: window last found by a search or an arrival; 0, 0 if never
     path: np.ndarray  # float64 (capacity, 5): layer, depth, lateral, tilt, voxels removed on arriving
     counters: np.ndarray  # int64: rows of path used, modified voxels left, random numbers drawn, path full
     left_at_depth: np.ndarray  # int64 [depth]: modified voxels left
