@@ -137,3 +137,21 @@ def test_other_labels_on_the_same_grid():
     assert volume.with_labels(CUBE, {"bone": 0}).names == {"bone": 0}
     with pytest.raises(InputError, match=r"expected shape \(2, 3, 4\)"):
         volume.with_labels(CUBE[:1])
+
+
+def test_labels_cannot_change_behind_the_volume():
+    labels = np.zeros((2, 3, 4), np.uint8)
+    volume = LabelVolume(labels, np.eye(4))
+    labels[:] = 1
+    assert not volume.labels.any()
+    with pytest.raises(ValueError, match="read-only"):
+        volume.labels[0, 0, 0] = 1
+
+
+def test_fractional_label_values_and_scalar_points_are_refused():
+    with pytest.raises(InputError, match="names"):
+        LabelVolume(np.zeros((2, 2, 2), np.uint8), np.eye(4), {"a": 1.7})
+    volume = LabelVolume(np.zeros((2, 2, 2), np.uint8), np.eye(4))
+    for call in (volume.points, volume.indices):
+        with pytest.raises(InputError, match="shape"):
+            call(5.0)

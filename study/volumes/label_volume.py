@@ -62,7 +62,10 @@ class LabelVolume:
                 raise InputError(f"labels: expected values 0..255, got {labels.min()}..{labels.max()}")
             else:
                 labels = labels.astype(np.uint8)
-        labels = np.ascontiguousarray(labels).view()  # one memory layout: kernels compile once per layout
+        # Nobody may change the labels behind the volume's back; one memory layout, so that kernels
+        # compile once.
+        shared = labels is self.labels and labels.flags.writeable
+        labels = np.array(labels, order="C") if shared else np.ascontiguousarray(labels).view()
         labels.flags.writeable = False
         affine = np.array(self.affine, dtype=float)
         if affine.shape != (4, 4):
@@ -75,9 +78,9 @@ class LabelVolume:
         if (steps == 0).any() or abs(np.linalg.det(affine[:3, :3] / steps)) < 1e-6:
             raise GeometryError(f"affine: expected an invertible matrix, got {affine.tolist()}")
         affine.flags.writeable = False
-        names = self.names or default_names(np.unique(labels))
+        names = self.names or default_names(np.flatnonzero(np.bincount(labels.reshape(-1), minlength=1)))
         for name, value in names.items():
-            if not isinstance(name, str) or not 0 <= int(value) <= 255:
+            if not isinstance(name, str) or value != int(value) or not 0 <= value <= 255:
                 raise InputError(f"names: expected str -> 0..255, got {name!r}: {value!r}")
         object.__setattr__(self, "labels", labels)
         object.__setattr__(self, "affine", affine)
@@ -126,14 +129,14 @@ class LabelVolume:
     def points(self, indices: np.ndarray) -> np.ndarray:
         """(n, 3) mm of (n, 3) voxel indices (may be fractional)."""
         indices = np.asarray(indices, dtype=float)
-        if indices.shape[-1] != 3:
+        if indices.ndim == 0 or indices.shape[-1] != 3:
             raise InputError(f"indices: expected shape (n, 3), got {indices.shape}")
         return indices @ self.affine[:3, :3].T + self.affine[:3, 3]
 
     def indices(self, points: np.ndarray) -> np.ndarray:
         """(n, 3) fractional voxel indices of (n, 3) points in mm."""
         points = np.asarray(points, dtype=float)
-        if points.shape[-1] != 3:
+        if points.ndim == 0 or points.shape[-1] != 3:
             raise InputError(f"points: expected shape (n, 3), got {points.shape}")
         return (points - self.affine[:3, 3]) @ np.linalg.inv(self.affine[:3, :3]).T
 
