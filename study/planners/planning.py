@@ -76,16 +76,9 @@ class _Canonical:
 
     def mean_window(self, sample: int = 400) -> float:
         """Mean width of the windows that protected bone leaves some of the targeted voxels, radians."""
-        shaft = self.shaft
         voxels = np.argwhere(self.modified)
         voxels = voxels[:: max(1, len(voxels) // sample)]
-        total = 0.0
-        for layer, depth, lateral in voxels:
-            free, low, high = strategies.accessible_window(
-                shaft, layer, depth, lateral, -shaft.max_tilt, shaft.max_tilt, 0.0, 0.0
-            )
-            total += high - low if free else 0.0
-        return total / max(1, len(voxels))
+        return strategies.total_width(self.shaft, voxels) / max(1, len(voxels))
 
 
 def _choose_frame(modified, approach, drill, settings, padding) -> _Canonical:

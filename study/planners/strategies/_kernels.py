@@ -316,3 +316,16 @@ def drop_inaccessible(shaft, narrow, modified, min_width):
                     modified[i, j, k] = 0
                     dropped += 1
     return dropped
+
+
+@kernel
+def total_width(shaft, voxels):
+    """Summed width in radians of the widest window of some voxels."""
+    total = 0.0
+    for n in range(voxels.shape[0]):
+        free, low, high = accessible_window(
+            shaft, voxels[n, 0], voxels[n, 1], voxels[n, 2], -shaft.max_tilt, shaft.max_tilt, 0.0, 0.0
+        )
+        if free:
+            total += high - low
+    return total
