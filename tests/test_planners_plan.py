@@ -125,6 +125,20 @@ def test_oblique_volume_gives_the_rotated_path():
 
 
 @pytest.mark.parametrize("strategy", STRATEGIES)
+def test_a_larger_scan_changes_nothing(strategy):
+    volume = small_cone(shape=(42, 32, 30), air=8.8)  # air enough for the burr to stay in the image
+    sides = np.array([[0, 1], [1, 1], [1, 1]], bool)
+    larger = volume.padded(20.0, "protected", sides).padded(
+        60.0, "air", np.array([[1, 0], [0, 0], [0, 0]], bool)
+    )
+    settings = PlannerSettings(rotation_axis=1)
+    assert np.array_equal(
+        np.round(plan_path(larger, strategy, settings=settings).points, 9),
+        np.round(plan_path(volume, strategy, settings=settings).points, 9),
+    )
+
+
+@pytest.mark.parametrize("strategy", STRATEGIES)
 def test_anisotropic_voxels_are_planned_on_and_verify(strategy):
     volume = cone_volume(shape=(38, 46, 30), spacing=(0.45, 0.38, 0.6), depth=7.0, top=7.0)
     plan = plan_path(volume, strategy)

@@ -6,13 +6,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from study.collision.drill import Drill
 from study.errors import GeometryError, InputError, TargetUnreachableError
 from study.volumes import LabelVolume
 
 
 @dataclass(frozen=True)
 class CanonicalFrame:
-    """How a volume's index axes become ``[layer, depth, lateral]``, padded by air on every side.
+    """How a volume's index axes become ``[layer, depth, lateral]``: cropped, flipped, padded by air.
 
     Parameters
     ----------
@@ -26,6 +27,8 @@ class CanonicalFrame:
         +1 when the drill enters along growing indices of `depth_axis`, -1 otherwise.
     padding : int
         Voxels added on every side, so that loops need no bounds checks.
+    low, high : (3,) ints
+        The part of the volume that matters, in its own indices; see `working_box`.
     """
 
     shape: tuple[int, int, int]
@@ -34,6 +37,8 @@ class CanonicalFrame:
     rotation_axis: int
     into_bone: int
     padding: int
+    low: tuple[int, int, int]
+    high: tuple[int, int, int]
 
     @property
     def axes(self) -> tuple[int, int, int]:
@@ -45,37 +50,44 @@ class CanonicalFrame:
         """(3,) mm between layers, depths, laterals."""
         return np.array([self.spacing[axis] for axis in self.axes])
 
+    @property
+    def _box(self) -> tuple[slice, ...]:
+        return tuple(slice(a, z) for a, z in zip(self.low, self.high, strict=True))
+
     def canonical(self, array: np.ndarray, fill: int = 0) -> np.ndarray:
         """A volume-shaped array in canonical order, padded with `fill`, contiguous."""
-        out = np.transpose(array, self.axes)
+        out = np.transpose(array[self._box], self.axes)
         if self.into_bone < 0:
             out = out[:, ::-1]
         return np.ascontiguousarray(np.pad(out, self.padding, constant_values=fill))
 
     def original(self, array: np.ndarray) -> np.ndarray:
-        """The inverse of `canonical`."""
+        """The inverse of `canonical`; zero outside the box."""
         p = self.padding
-        out = array[p : array.shape[0] - p, p : array.shape[1] - p, p : array.shape[2] - p]
+        part = array[p : array.shape[0] - p, p : array.shape[1] - p, p : array.shape[2] - p]
         if self.into_bone < 0:
-            out = out[:, ::-1]
-        return np.ascontiguousarray(np.transpose(out, np.argsort(self.axes)))
+            part = part[:, ::-1]
+        out = np.zeros(self.shape, dtype=array.dtype)
+        out[self._box] = np.transpose(part, np.argsort(self.axes))
+        return out
 
     def to_indices(self, positions: np.ndarray) -> np.ndarray:
         """(n, 3) volume indices of (n, 3) canonical positions."""
-        positions = np.asarray(positions, dtype=float) - self.padding
-        depth = positions[:, 1]
+        out = np.empty((len(positions), 3))
+        out[:, self.axes] = np.asarray(positions, dtype=float) - self.padding
+        out += np.array(self.low)
         if self.into_bone < 0:
-            depth = self.shape[self.depth_axis] - 1 - depth
-        out = np.empty_like(positions)
-        out[:, self.axes] = np.column_stack([positions[:, 0], depth, positions[:, 2]])
+            n = self.depth_axis
+            out[:, n] = self.low[n] + self.high[n] - 1 - out[:, n]
         return out
 
     def from_indices(self, indices: np.ndarray) -> np.ndarray:
         """(n, 3) canonical positions of (n, 3) volume indices."""
-        out = np.asarray(indices, dtype=float)[:, self.axes].copy()
+        out = np.array(indices, dtype=float)
         if self.into_bone < 0:
-            out[:, 1] = self.shape[self.depth_axis] - 1 - out[:, 1]
-        return out + self.padding
+            n = self.depth_axis
+            out[:, n] = self.low[n] + self.high[n] - 1 - out[:, n]
+        return (out - np.array(self.low))[:, self.axes] + self.padding
 
     def shaft_axes(self, tilts: np.ndarray, directions: np.ndarray) -> np.ndarray:
         """(n, 3) mm unit vectors from the burr towards the drill body for (n,) tilts in radians."""
@@ -133,10 +145,55 @@ def find_approach(volume: LabelVolume) -> np.ndarray:
     return direction / length
 
 
+def working_box(
+    target: np.ndarray,
+    spacing: np.ndarray,
+    axes: tuple[int, int, int],
+    into_bone: int,
+    drill: Drill,
+    max_tilt: float,
+) -> tuple[np.ndarray, np.ndarray]:
+    """The part of a volume that a burr in the target, or its shaft at any tilt allowed, can meet.
+
+    Returns
+    -------
+    (3,), (3,) int arrays
+        First index and one past the last, per grid axis.
+    """
+    shape = np.array(target.shape)
+    low, high = np.empty(3, int), np.empty(3, int)
+    for axis in range(3):
+        filled = np.flatnonzero(target.any(axis=tuple({0, 1, 2} - {axis})))
+        low[axis], high[axis] = filled[0], filled[-1] + 1
+    layer, depth, lateral = axes
+    burr = np.ceil(drill.burr_radius / spacing).astype(int) + 2
+    low, high = low - 2 * burr, high + 2 * burr  # the burr in the air around the target, and its reach
+    widest, length = max(radius for radius, _, _ in drill.cylinders), drill.cylinders[-1][2]
+    outside = int(np.ceil((length + widest) / spacing[depth]))
+    if into_bone > 0:
+        low[depth] -= outside
+    else:
+        high[depth] += outside
+    low, high = np.maximum(low, 0), np.minimum(high, shape)
+    rise = min(length, (high[depth] - low[depth]) * spacing[depth])
+    sideways = np.array([widest, rise * np.tan(max_tilt) + widest / np.cos(max_tilt)])
+    for axis, reach in zip((layer, lateral), sideways, strict=True):
+        voxels = int(np.ceil(reach / spacing[axis])) + 3
+        low[axis], high[axis] = low[axis] - voxels, high[axis] + voxels
+    return np.maximum(low, 0), np.minimum(high, shape)
+
+
 def canonical_frame(
-    volume: LabelVolume, approach: np.ndarray, rotation_axis: int, padding: int
+    volume: LabelVolume,
+    approach: np.ndarray,
+    rotation_axis: int,
+    padding: int,
+    drill: Drill | None = None,
+    max_tilt: float = np.pi / 4,
 ) -> CanonicalFrame:
-    """The frame for an approach direction in mm (snapped to the nearest grid axis).
+    """The frame for an approach direction in mm, snapped to the nearest grid axis.
+
+    With a drill only what it can meet while milling the target is kept (`working_box`), else all.
 
     Raises
     ------
@@ -152,11 +209,18 @@ def canonical_frame(
         raise InputError(
             f"rotation_axis: expected a grid axis across the approach axis {depth_axis}, got {rotation_axis}"
         )
+    into_bone = 1 if along[depth_axis] > 0 else -1
+    low, high = np.zeros(3, int), np.array(volume.shape)
+    if drill is not None:
+        axes = (rotation_axis, depth_axis, 3 - rotation_axis - depth_axis)
+        low, high = working_box(volume.mask("target"), volume.spacing, axes, into_bone, drill, max_tilt)
     return CanonicalFrame(
-        tuple(int(n) for n in volume.shape),
-        tuple(float(s) for s in volume.spacing),
-        depth_axis,
-        int(rotation_axis),
-        1 if along[depth_axis] > 0 else -1,
-        int(padding),
+        shape=tuple(int(n) for n in volume.shape),
+        spacing=tuple(float(s) for s in volume.spacing),
+        depth_axis=depth_axis,
+        rotation_axis=int(rotation_axis),
+        into_bone=into_bone,
+        padding=int(padding),
+        low=tuple(int(n) for n in low),
+        high=tuple(int(n) for n in high),
     )

@@ -83,15 +83,21 @@ class _Canonical:
 
 def _choose_frame(modified, approach, drill, settings, padding) -> _Canonical:
     """The canonical volume about the asked rotation axis, or about the better of the two."""
-    if settings.rotation_axis >= 0:
-        frame = canonical_frame(modified.volume, approach, settings.rotation_axis, padding)
-        return _Canonical(modified, frame, drill, settings)
     along = np.abs(modified.volume.directions.T @ approach)
     across = [axis for axis in range(3) if axis != int(np.argmax(along))]
+    asked = [settings.rotation_axis] if settings.rotation_axis >= 0 else across
+    max_tilt = np.deg2rad(settings.max_tilt_deg)
     options = [
-        _Canonical(modified, canonical_frame(modified.volume, approach, axis, padding), drill, settings)
-        for axis in across
+        _Canonical(
+            modified,
+            canonical_frame(modified.volume, approach, axis, padding, drill, max_tilt),
+            drill,
+            settings,
+        )
+        for axis in asked
     ]
+    if len(options) == 1:
+        return options[0]
     if options[0].dropped != options[1].dropped:
         return min(options, key=lambda option: option.dropped)
     return options[int(np.argmax([option.mean_window() for option in options]))]
