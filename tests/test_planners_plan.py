@@ -172,6 +172,15 @@ def test_any_supervoxel_size_clears_the_target(depth):
     assert plan.left.sum() == 0
 
 
+def test_a_26_connected_boundary_holds_the_6_connected_one_and_is_cleared():
+    faces = plan_path(small_cone())
+    vertices = plan_path(small_cone(), settings=PlannerSettings(boundary_connectivity=26))
+    assert (vertices.modified.boundary >= faces.modified.boundary).all()
+    assert vertices.modified.boundary.sum() > faces.modified.boundary.sum()
+    vertices.verify()
+    assert vertices.left.sum() == 0
+
+
 def test_a_user_term_changes_the_path_as_asked():
     volume = cone_volume()
     depth = np.broadcast_to(np.arange(volume.shape[0])[:, None, None] / volume.shape[0], volume.shape)
@@ -274,6 +283,7 @@ def test_bad_requests_are_refused():
         {"min_overlap_deg": 9},
         {"row_pitch": -1},
         {"seed": -1},
+        {"boundary_connectivity": 18},
     ]:
         with pytest.raises(InputError, match=next(iter(settings))):
             PlannerSettings(**settings)

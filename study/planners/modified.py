@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from scipy import ndimage
 
-from study.errors import LabelError, PlanningError
+from study.errors import InputError, LabelError, PlanningError
 from study.volumes import LabelVolume
 from study.volumes.distances import overlapped_by_ball
 
@@ -87,7 +87,9 @@ def check_planning_volume(volume: LabelVolume) -> tuple[np.ndarray, np.ndarray]:
     return air, target
 
 
-def modified_volume(volume: LabelVolume, burr_radius: float, *, finishing: bool = False) -> ModifiedVolume:
+def modified_volume(
+    volume: LabelVolume, burr_radius: float, *, boundary_connectivity: int = 6, finishing: bool = False
+) -> ModifiedVolume:
     """Erode the target by the burr, dilate the rest into air, find the target boundary.
 
     Parameters
@@ -96,6 +98,8 @@ def modified_volume(volume: LabelVolume, burr_radius: float, *, finishing: bool 
         With labels ``air`` and ``target``; everything else is protected.
     burr_radius : float
         mm.
+    boundary_connectivity : {6, 26}
+        Whether target boundary shares a face (2.2.5) or any vertex (Table 2.1) with the solid around.
     finishing : bool
         Target also every allowed position from which the burr reaches bone that the positions above
         do not: what a later, smaller burr is for (end of 2.3), whose own erosion of the thin rest
@@ -116,6 +120,8 @@ def modified_volume(volume: LabelVolume, burr_radius: float, *, finishing: bool 
     bone with its whole radius, so air does not). The dilation keeps to positions at which the whole
     burr avoids protected bone. What lies beyond the image is unknown and counts as protected.
     """
+    if boundary_connectivity not in (6, 26):
+        raise InputError(f"boundary_connectivity: expected 6 or 26, got {boundary_connectivity!r}")
     air, target = check_planning_volume(volume)
     spacing = volume.spacing
     reach = np.floor(burr_radius / spacing + 0.5).astype(int)
@@ -150,8 +156,8 @@ def modified_volume(volume: LabelVolume, burr_radius: float, *, finishing: bool 
             f"{np.count_nonzero(target) * volume.voxel_volume:.1f} mm^3 without cutting protected voxels"
         )
     solid_outside = ~modified & ~air_box
-    faces = ndimage.generate_binary_structure(3, 1)
-    boundary = modified & ndimage.binary_dilation(solid_outside, faces)
+    neighbours = ndimage.generate_binary_structure(3, 1 if boundary_connectivity == 6 else 3)
+    boundary = modified & ndimage.binary_dilation(solid_outside, neighbours)
 
     def whole(part: np.ndarray) -> np.ndarray:
         out = np.zeros(volume.shape, dtype=bool)

@@ -178,7 +178,12 @@ def plan_path(
     settings = PlannerSettings() if settings is None else settings
     clock = time.perf_counter()
     check_orthogonal(volume)
-    modified = modified_volume(volume, drill.burr_radius, finishing=settings.finishing)
+    modified = modified_volume(
+        volume,
+        drill.burr_radius,
+        boundary_connectivity=settings.boundary_connectivity,
+        finishing=settings.finishing,
+    )
     approach = find_approach(volume) if approach is None else np.asarray(approach, dtype=float)
 
     reach_burr = np.floor(drill.burr_radius / volume.spacing + 0.5).astype(int) + 1

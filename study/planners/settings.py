@@ -50,6 +50,8 @@ class PlannerSettings:
     rotation_axis : int
         Grid axis about which the 4-DOF robot tilts the drill; -1 chooses the one of the two axes
         across the approach that reaches more of the target (then the one with the wider windows).
+    boundary_connectivity : {6, 26}
+        Target boundary shares a face (2.2.5) or any vertex (Table 2.1) with the solid around it.
     finishing : bool
         Visit also what a larger burr left; see `study.planners.modified_volume`. `plan_passes` sets it.
     seed : int
@@ -70,6 +72,7 @@ class PlannerSettings:
     row_pitch: int = 0
     layer_pitch: int = 0
     rotation_axis: int = -1
+    boundary_connectivity: int = 6
     finishing: bool = False
     seed: int = 0
 
@@ -87,4 +90,5 @@ class PlannerSettings:
         require(self.row_pitch >= 0, "row_pitch", "voxels, 0 for the supervoxel's size")
         require(self.layer_pitch >= 0, "layer_pitch", "voxels, 0 for the supervoxel's size")
         require(self.rotation_axis in (-1, 0, 1, 2), "rotation_axis", "0, 1, 2 or -1 to choose")
+        require(self.boundary_connectivity in (6, 26), "boundary_connectivity", "6 or 26")
         require(self.seed >= 0, "seed", "an integer of at least 0")
