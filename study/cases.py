@@ -1,0 +1,166 @@
+"""Whatever a notebook is pointed at: a specimen of the catalogue, a file, a folder of a public data set."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from study.errors import InputError
+from study.paths import PROJECT
+from study.specimens import (
+    TargetRule,
+    catalogue,
+    mastoidectomy_target,
+    read_temporal_bone_case,
+    specimen,
+    structure_mask,
+)
+from study.specimens.structures import PUBLIC_LABELS, SYNONYMS
+from study.volumes import LabelVolume, read_volume
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """Something to plan on.
+
+    Attributes
+    ----------
+    name : str
+        Of the specimen, the file (without suffix) or the folder.
+    planning : LabelVolume
+        With air and target; the rest is protected.
+    anatomy : LabelVolume or None
+        Anatomical labels on the same grid; None for a file that holds only a planning volume.
+    approach : (3,) array or None
+        Outside -> bone, where the anatomy says which side it is; else left to the planner.
+    """
+
+    name: str
+    planning: LabelVolume
+    anatomy: LabelVolume | None = None
+    approach: np.ndarray | None = None
+
+    def structure(self, name: str) -> np.ndarray | None:
+        """(nx, ny, nz) mask of a structure such as ``"facial_nerve"``; None where it is unknown."""
+        for volume in (self.anatomy, self.planning):
+            if volume is not None:
+                try:
+                    return structure_mask(volume, name)
+                except InputError:
+                    continue
+        return None
+
+
+def load_case(what: str | os.PathLike[str], rule: TargetRule | None = None) -> Case:
+    """Load something to plan on.
+
+    Parameters
+    ----------
+    what : str or path-like
+        One of
+
+        - a name of `study.specimens.catalogue`, such as ``"TB03"``;
+        - a file ``.seg.nrrd``, ``.nrrd``, ``.nii.gz`` or ``.nii`` whose labels include ``air`` and
+          ``target`` (unnamed labels 0, 1, 2 are air, protected, target): taken as it is;
+        - such a file of a segmented temporal bone: the target comes from `mastoidectomy_target`;
+        - a folder of a public data set, see `read_temporal_bone_case`.
+
+        A relative path counts from the working directory, else from the root of the checkout.
+    rule : TargetRule, optional
+        For a segmented bone.
+
+    Returns
+    -------
+    Case
+
+    Raises
+    ------
+    InputError
+        If it is none of these.
+    FileNotFoundError, FileFormatError, GeometryError, LabelError, PlanningError
+        From reading the file or making the target.
+    """
+    text = os.fspath(what)
+    if text in catalogue():
+        bone = specimen(text)
+        return Case(bone.name, bone.planning, bone.anatomy, bone.approach)
+    path = next((p for p in (Path(text), PROJECT / text) if text and p.exists()), None)
+    if path is None:
+        names = catalogue()
+        raise InputError(
+            f"expected a specimen ({names[0]} to {names[-1]}), a file or a folder; {text!r} is none of them"
+        )
+    if path.is_dir():
+        bone = read_temporal_bone_case(path, rule=rule)
+        return Case(bone.name, bone.planning, bone.anatomy, bone.approach)
+    volume = read_volume(path)
+    name = path.name.split(".")[0]
+    if {"air", "target"} <= set(volume.names):
+        return Case(name, volume)
+    if all(label.startswith("label_") for label in volume.names):
+        if volume.labels.max() > max(PUBLIC_LABELS.values()):
+            raise InputError(
+                f"{path}: expected labels with names, 0 to 2 (air, protected, target), or 0 to "
+                f"{max(PUBLIC_LABELS.values())} of the public set; got labels up to {volume.labels.max()}"
+            )
+        volume = LabelVolume(volume.labels, volume.affine, PUBLIC_LABELS)
+    known = [label for label in volume.names if _is_structure(label)]
+    if len(known) < 2:
+        raise InputError(
+            f"{path}: expected labels 'air' and 'target', or structures of a temporal bone such as "
+            f"'facial_nerve'; got {sorted(volume.names)}"
+        )
+    return Case(name, mastoidectomy_target(volume, rule), volume)
+
+
+def _is_structure(label: str) -> bool:
+    plain = label.strip().lower().replace(" ", "_").replace("-", "_")
+    return any(plain in names for names in SYNONYMS.values())
+
+
+def parse_approach(text: str) -> np.ndarray | None:
+    """A direction from a notebook's parameter: ``""`` for none, else three numbers in mm (LPS).
+
+    Raises
+    ------
+    InputError
+        If it is neither.
+    """
+    if not text.strip():
+        return None
+    try:
+        values = np.array([float(part) for part in text.replace(",", " ").split()])
+    except ValueError:
+        values = np.empty(0)
+    if values.shape != (3,) or not np.isfinite(values).all() or not values.any():
+        raise InputError(f"approach: expected '' or three numbers such as '1 0 0', got {text!r}")
+    return values
+
+
+def distance_from(mask: np.ndarray, spacing: np.ndarray, most_mm: float) -> np.ndarray:
+    """Mm from every voxel centre to the nearest voxel centre of a mask, over `most_mm`, capped at 1.
+
+    A field for `study.planners.FitnessTerm`: 0 on the structure, 1 at `most_mm` and beyond.
+
+    Parameters
+    ----------
+    mask : (nx, ny, nz) bool array
+    spacing : (3,) mm
+    most_mm : float
+
+    Raises
+    ------
+    InputError
+        If no voxel is set or `most_mm` is not positive.
+    """
+    from scipy import ndimage
+
+    if not mask.any():
+        raise InputError("mask: expected at least one voxel of the structure, got none")
+    if not (np.isfinite(most_mm) and most_mm > 0):
+        raise InputError(f"most_mm: expected mm above 0, got {most_mm}")
+    distance = ndimage.distance_transform_edt(~mask, sampling=spacing)
+    return np.minimum(distance / most_mm, 1.0).astype(np.float32)
