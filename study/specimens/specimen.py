@@ -13,9 +13,9 @@ from study.specimens.target import TargetRule
 from study.volumes import LabelVolume
 
 # Six places on a ring about the middle of the opened surface: angle from posterior towards superior
-# (degrees), distance from the axis and height above the surface (mm). No two alike, so that the
-# configuration has no symmetry.
-_RING = ((15, 22, 20), (75, 28, 22), (135, 24, 18), (195, 30, 21), (255, 23, 19), (315, 26, 23))
+# (degrees), distance from the axis and height above the surface (mm). No two of the gaps between
+# them are alike, so that no reordering fits another.
+_RING = ((15, 22, 20), (75, 28, 22), (135, 24, 18), (195, 30, 21), (259, 23, 19), (315, 25, 23))
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +80,7 @@ def fiducial_ring(planning: LabelVolume, side: str) -> np.ndarray:
     -------
     (6, 3) array
         mm; 22 to 30 mm from the lateral axis through the centroid of the target's lateral surface,
-        18 to 23 mm outside it, none of them symmetric to another. They may lie outside the image.
+        18 to 23 mm outside it, all gaps between them different. They may lie outside the image.
 
     Raises
     ------
