@@ -19,7 +19,7 @@ from study.planners.simulation._kernels import (
 )
 
 NEIGHBOURS = np.array([[0, -1, 0], [-1, 0, 0], [1, 0, 0], [0, 0, -1], [0, 0, 1], [0, 1, 0]], dtype=np.int64)
-ANY_TARGET, ONE_VOXEL, SLICE = 0, 1, 2  # what a search looks for
+ANY_TARGET, ONE_VOXEL, SLICE, WITHIN_SLICE = 0, 1, 2, 3  # what a search looks for
 
 
 @inner
@@ -152,7 +152,8 @@ def find_way(sim, search, burr, goal):
 
     Parameters: `search` is (stamp int32, came int8, low float32, high float32, queue int32 arrays over
     voxels, and a one-element int32 array counting the floods); `goal` is an int64 array: ANY_TARGET
-    (unmilled), ONE_VOXEL and the voxel, or SLICE (unmilled target at one depth) and the depth.
+    (unmilled), ONE_VOXEL and the voxel, SLICE (unmilled target at one depth) and the depth, or
+    WITHIN_SLICE and the depth, which does not leave the depth the burr is at.
 
     Returns the length of the way, its voxels last to first in the queue's end; -1 if there is none.
     """
@@ -176,11 +177,11 @@ def find_way(sim, search, burr, goal):
             # Goals first: next to the burr they are the rule, and each look costs a window.
             n = look % 6
             i, j, k = layer + NEIGHBOURS[n, 0], depth + NEIGHBOURS[n, 1], lateral + NEIGHBOURS[n, 2]
-            if not sim.allowed[i, j, k]:
+            if not sim.allowed[i, j, k] or (goal[0] == WITHIN_SLICE and j != depth):
                 continue
             if goal[0] == ONE_VOXEL:
                 found = i == goal[1] and j == goal[2] and k == goal[3]
-            elif goal[0] == SLICE:
+            elif goal[0] != ANY_TARGET:
                 found = sim.modified[i, j, k] != 0 and j == goal[1]
             else:
                 found = sim.modified[i, j, k] != 0

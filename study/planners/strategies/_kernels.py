@@ -13,6 +13,7 @@ from study.planners.motion._kernels import (
     ANY_TARGET,
     ONE_VOXEL,
     SLICE,
+    WITHIN_SLICE,
     arrive,
     direct_step,
     go,
@@ -284,8 +285,11 @@ def run_zigzag(sim, search, start, targeted, row_axis, row_pitch, layer_pitch):
         depth = min(top + layer_pitch // 2, last)
         _zigzag_layer(sim, search, burr, targeted, depth, row_axis, row_pitch)
         for d in range(top, min(top + layer_pitch, last + 1)):
+            circuit = np.array([WITHIN_SLICE, d, 0, 0])
             rim = np.array([SLICE, d, 0, 0])
             while sim.counters[FULL] == 0 and sim.left_at_depth[d] > 0:
+                if burr[1] == d and go(sim, search, burr, circuit):
+                    continue
                 if not go(sim, search, burr, rim):
                     break
         top += layer_pitch
