@@ -13,7 +13,7 @@ from study import published
 from study.files import written_whole
 from study.paths import PROJECT
 from study.planners.modified import modified_volume
-from study.specimens.catalogue import Entry, build, fit_size
+from study.specimens.named_specimens import Entry, build, fit_size
 
 BURR_RADIUS = 2.5
 COLUMN = "modified_initial_target_cm3"

@@ -12,7 +12,7 @@ from study.specimens.parameters import RANGES
 from study.specimens.public_cases import read_temporal_bone_case
 from study.specimens.shapes import Grid, carve_ellipsoid, carve_tube, random_field
 
-SEEDS = (201, 202, 203, 204)
+SEEDS = (201, 203, 204)
 
 # Volumes (mm^3) of adult structures. Nerve, labyrinth, inner canal and chorda: published CT and
 # micro-CT ranges widened to the coarse label maps of this kind of scanner, whose voxels (0.4 mm) are
@@ -67,7 +67,7 @@ def check_anatomy(anatomy):
 def bones():
     return {
         seed: temporal_bone(TemporalBoneParameters.drawn(seed, size=size), seed)
-        for seed, size in zip(SEEDS, (0.7, 0.9, 1.0, 1.15), strict=True)
+        for seed, size in zip(SEEDS, (0.7, 1.0, 1.15), strict=True)
     }
 
 
@@ -152,7 +152,7 @@ def test_another_spacing_shows_the_same_bone(bones):
 
 
 def test_size_moves_cortex_and_sinus_but_not_the_otic_capsule():
-    small, large = (temporal_bone(TemporalBoneParameters(size=size), 5) for size in (0.7, 1.2))
+    small, large = (temporal_bone(TemporalBoneParameters(size=size), 5, 0.6) for size in (0.7, 1.2))
     extents = []
     for bone in (small, large):
         sinus = bone.points(np.argwhere(bone.mask("sigmoid_sinus")))
@@ -192,7 +192,7 @@ def test_drawn_parameters_lie_in_their_ranges_and_follow_the_seed():
 
 
 def test_a_bone_without_cells_is_solid_but_for_the_antrum():
-    bone = temporal_bone(TemporalBoneParameters(pneumatisation=0.0), 1)
+    bone = temporal_bone(TemporalBoneParameters(pneumatisation=0.0), 1, 0.6)
     assert 20 < bone.volume_mm3("air_cells") < 250
 
 

@@ -27,7 +27,7 @@ from study.volumes import LabelVolume, read_volume
 
 @pytest.fixture(scope="module")
 def bone():
-    return temporal_bone(TemporalBoneParameters.drawn(11), 11, spacing=0.5)
+    return temporal_bone(TemporalBoneParameters.drawn(11), 11, spacing=0.6)
 
 
 @pytest.fixture(scope="module")

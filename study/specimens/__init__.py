@@ -1,6 +1,6 @@
 """Temporal bones and kidneys: procedural, catalogued, or read from public data sets."""
 
-from study.specimens.catalogue import catalogue, specimen
+from study.specimens.named_specimens import catalogue, specimen
 from study.specimens.parameters import TemporalBoneParameters
 from study.specimens.public_cases import KidneyCase, read_kidney_case, read_temporal_bone_case
 from study.specimens.specimen import Specimen, fiducial_ring

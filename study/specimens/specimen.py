@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from study.errors import InputError, LabelError
-from study.specimens.orientation import check_side, lateral_direction
+from study.specimens.orientation import check_side, lateral_direction, surgical_view
 from study.specimens.parameters import TemporalBoneParameters
 from study.specimens.target import TargetRule
 from study.volumes import LabelVolume
@@ -88,14 +88,15 @@ def fiducial_ring(planning: LabelVolume, side: str) -> np.ndarray:
         If the volume has no target.
     """
     outwards = lateral_direction(side)
-    points = planning.points(np.argwhere(planning.mask("target")))
-    if not len(points):
+    view = surgical_view(planning, side)
+    target = view.turned(planning.mask("target"))
+    columns = target.any(axis=0)
+    if not columns.any():
         raise LabelError("expected a planning volume with target voxels, got none")
     # The most lateral target voxel of every column across the approach.
-    columns = np.round(points[:, 1:] / planning.spacing[1:]).astype(int)
-    order = np.lexsort((-points @ outwards, columns[:, 1], columns[:, 0]))
-    _, first = np.unique(columns[order], axis=0, return_index=True)
-    centre = points[order][first].mean(axis=0)
+    surface = np.zeros(target.shape, bool)
+    surface[np.argmax(target, axis=0)[columns], *np.nonzero(columns)] = True
+    centre = planning.points(np.argwhere(view.back(surface))).mean(axis=0)
     angle, radius, height = np.array(_RING, dtype=float).T
     across = radius[:, None] * np.column_stack(
         [np.zeros(len(angle)), np.cos(np.deg2rad(angle)), np.sin(np.deg2rad(angle))]

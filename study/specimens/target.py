@@ -176,28 +176,40 @@ def mastoidectomy_target(
     hollow = view.turned(_mask_if_any(anatomy, "air"))
     exterior = _exterior(hollow, rule.pit_width, view.spacing)
 
-    keep_out = _keep_out(anatomy, rule, view)
-    if "intracranial" in rule.clearances:
-        below_top = _open_above(hollow, exterior)
-        keep_out |= overlapped_by_ball(below_top, rule.clearances["intracranial"], view.spacing)
+    region = _region(landmarks, rule, view.spacing, hollow.shape) & ~exterior
+    _require(region, "the region of the rule lies in exterior air")
+    # All that follows happens near the region.
+    reach = max(2 * rule.opening_radius, rule.burr_radius, *rule.clearances.values(), 0.0)
+    box = _box_around(region, reach, view.spacing)
+    outside = exterior[box]
 
-    region = _region(landmarks, rule, view.spacing, hollow.shape)
-    target = region & ~keep_out & ~exterior
-    _require(target, "the region of the rule lies in exterior air or within the clearances")
+    keep_out = _keep_out(anatomy, rule, view, box)
+    if "intracranial" in rule.clearances:
+        below_top = _open_above(hollow, exterior)[box]
+        keep_out |= overlapped_by_ball(below_top, rule.clearances["intracranial"], view.spacing)
+    target = region[box] & ~keep_out
+    _require(target, "the region of the rule lies within the clearances")
     if not rule.undercuts:
-        target = _open_to_the_side(target, exterior)
+        target = _open_to_the_side(target, outside)
         _require(target, "no voxel of the region can be reached from the side without an undercut")
     if rule.opening_radius > 0:
-        target = _opened(target, exterior, rule.opening_radius, view.spacing)
+        target = _opened(target, outside, rule.opening_radius, view.spacing)
         if not rule.undercuts:
-            target = _open_to_the_side(target, exterior)
+            target = _open_to_the_side(target, outside)
         _require(target, f"no part is as wide as a ball of {rule.opening_radius:g} mm")
-    target = _roomiest(target, exterior, rule.burr_radius, view.spacing)
+    target = _roomiest(target, outside, rule.burr_radius, view.spacing)
 
     labels = np.full(hollow.shape, PLANNING_NAMES["protected"], np.uint8)
     labels[exterior] = PLANNING_NAMES["air"]
-    labels[target] = PLANNING_NAMES["target"]
+    labels[box][target] = PLANNING_NAMES["target"]
     return LabelVolume(np.ascontiguousarray(view.back(labels)), anatomy.affine, PLANNING_NAMES)
+
+
+def _box_around(mask: np.ndarray, reach: float, spacing: np.ndarray) -> tuple[slice, slice, slice]:
+    """Slices of the voxels within `reach` mm and a little more of a mask, along every axis."""
+    more = np.ceil(reach / spacing).astype(int) + 2
+    found = [np.flatnonzero(mask.any(axis=tuple({0, 1, 2} - {axis}))) for axis in range(3)]
+    return tuple(slice(max(f[0] - m, 0), f[-1] + m + 1) for f, m in zip(found, more, strict=True))
 
 
 def _mask_if_any(anatomy: LabelVolume, structure: str) -> np.ndarray:
@@ -227,16 +239,16 @@ def _open_above(hollow: np.ndarray, exterior: np.ndarray) -> np.ndarray:
     return np.logical_and.accumulate(inside[:, :, ::-1], axis=2)[:, :, ::-1]
 
 
-def _keep_out(anatomy: LabelVolume, rule: TargetRule, view) -> np.ndarray:
+def _keep_out(anatomy: LabelVolume, rule: TargetRule, view, box: tuple) -> np.ndarray:
     """Everything nearer to a structure than its clearance, structures of equal clearance at once."""
     names: dict[float, set[str]] = {}
     for structure, mm in rule.clearances.items():
         names.setdefault(float(mm), set()).update(labels_of(anatomy, structure))
     # What may not be removed is also no target where it has no clearance of its own.
     keep = _mask_if_any(anatomy, "middle_ear") | _mask_if_any(anatomy, "intracranial")
-    keep = view.turned(keep).copy()
+    keep = view.turned(keep)[box].copy()
     for mm, labels in names.items():
-        mask = view.turned(anatomy.mask(*labels)) if labels else None
+        mask = view.turned(anatomy.mask(*labels))[box] if labels else None
         if mask is not None:
             keep |= overlapped_by_ball(mask, mm, view.spacing) if mm > 0 else mask
     return keep
