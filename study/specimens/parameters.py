@@ -10,10 +10,8 @@ from study.errors import InputError
 from study.specimens.orientation import check_side
 
 #: Range from which each parameter of a specimen is drawn, uniformly. All lengths are for size 1.
-#: The three real bones that the project was developed on lie inside (see the tests); where the
-#: literature gives ranges for adults these were kept within them: mastoid segment of the facial nerve
-#: 10 to 18 mm long, ear canal 7 to 10 mm wide, mastoid process 19 to 30 mm below the dome, labyrinth's
-#: size constant within a few percent, sinus 7 to 20 mm behind the ear canal.
+#: Chosen by us around three segmented bones of a public set and what anatomy books say of adults
+#: (mastoid segment of the facial nerve 10 to 18 mm, ear canal 7 to 10 mm wide); no survey was fitted.
 RANGES: dict[str, tuple[float, float]] = {
     "mastoid_depth": (20.0, 24.0),
     "mastoid_height": (21.0, 26.0),
