@@ -44,7 +44,7 @@ class FeedSettings:
 
     min_speed: float = 0.5
     max_speed: float = 5.0
-    removal_rate: float = 5.537
+    removal_rate: float = 5.514
 
     def __post_init__(self) -> None:
         values = np.array([self.min_speed, self.max_speed, self.removal_rate], dtype=float)
