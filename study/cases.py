@@ -54,6 +54,18 @@ class Case:
         return None
 
 
+    def most_delicate(self) -> tuple[str, np.ndarray]:
+        """Name and mask of what to stay away from most: the facial nerve, if it is known.
+
+        Else the first of chorda, labyrinth, sigmoid sinus, dura that is; else all protected bone.
+        """
+        for name in ("facial_nerve", "chorda_tympani", "labyrinth", "sigmoid_sinus", "dura"):
+            mask = self.structure(name)
+            if mask is not None:
+                return name.replace("_", " "), mask
+        return "protected bone", ~(self.planning.mask("air") | self.planning.mask("target"))
+
+
 def load_case(what: str | os.PathLike[str], rule: TargetRule | None = None) -> Case:
     """Load something to plan on.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 
@@ -31,6 +32,15 @@ RC = {
 }
 
 
+class Picture(Figure):
+    """A figure that shows itself at the end of a notebook's cell, whether pyplot is in use or not."""
+
+    def _repr_png_(self) -> bytes:
+        buffer = io.BytesIO()
+        self.savefig(buffer, format="png", dpi=RC["figure.dpi"])
+        return buffer.getvalue()
+
+
 @contextmanager
 def styled() -> Iterator[None]:
     """Draw in the package's style, whatever the user's own is."""
@@ -41,13 +51,13 @@ def styled() -> Iterator[None]:
 def new_figure(size: tuple[float, float], layout: str | None = "constrained") -> Figure:
     """An empty figure in the package's style, which no global state holds on to."""
     with styled():
-        return Figure(figsize=size, layout=layout, dpi=RC["figure.dpi"])
+        return Picture(figsize=size, layout=layout, dpi=RC["figure.dpi"])
 
 
 def new_axes(rows: int, columns: int, size: tuple[float, float], **options) -> tuple[Figure, np.ndarray]:
     """A figure with (rows, columns) axes in the package's style."""
     with styled():
-        figure = Figure(figsize=size, layout="constrained", dpi=RC["figure.dpi"])
+        figure = Picture(figsize=size, layout="constrained", dpi=RC["figure.dpi"])
         axes = figure.subplots(rows, columns, squeeze=False, **options)
     return figure, axes
 

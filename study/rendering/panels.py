@@ -66,7 +66,7 @@ def panels(
     height = rows * (cell * 0.75 + above) + below
     figure = new_figure((width, height), layout=None)
     size = (int(pixels / columns), int(pixels / columns * 0.75))
-    size = (size[0] * 2, size[1] * 2) if columns > 1 else size
+    size = (size[0] * 3 // 2, size[1] * 3 // 2) if columns > 1 else size
     for number, scene in enumerate(scenes):
         row, column = divmod(number, columns)
         bottom = 1 - (row + 1) * (cell * 0.75 + above) / height

@@ -165,7 +165,7 @@ def telling_row(plan: Plan) -> int:
 
 
 def rows_on_one_plane(plan: Plan, n: int = 3) -> list[int]:
-    """Rows at which the burr stands in the plane across the rotation axis in which it is most often.
+    """Rows at which the burr stands in the plane across the rotation axis that cuts most modified target.
 
     Two that follow each other, then later ones spread evenly over its visits.
 
@@ -176,11 +176,10 @@ def rows_on_one_plane(plan: Plan, n: int = 3) -> list[int]:
     n : int
         How many; at most as many as there are.
     """
-    layers = plan.volume.indices(plan.points)[:, plan.rotation_axis]
-    whole = np.abs(layers - np.rint(layers)) < 1e-6
-    values, counts = np.unique(np.rint(layers[whole]).astype(int), return_counts=True)
-    best = int(values[np.argmax(counts)])
-    visits = np.flatnonzero(whole & (np.rint(layers) == best) & (plan.removed > 0))
+    axis = plan.rotation_axis
+    layers = plan.volume.indices(plan.points)[:, axis]
+    area = np.count_nonzero(plan.modified.target, axis=tuple({0, 1, 2} - {axis}))
+    visits = np.flatnonzero((np.abs(layers - np.argmax(area)) < 1e-6) & (plan.removed > 0))
     if len(visits) <= n:
         return visits.tolist()
     first = len(visits) // 8
