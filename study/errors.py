@@ -34,3 +34,7 @@ class TargetUnreachableError(PlanningError):
 
 class PlanViolation(StudyError, RuntimeError):  # noqa: N818 - the violation is what the name says
     """A replayed plan cuts protected bone or drives the shaft into bone."""
+
+
+class IncompletePlanWarning(UserWarning):
+    """A plan leaves accessible target behind; the message says how much."""

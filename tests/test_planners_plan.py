@@ -12,12 +12,21 @@ from study.collision import Drill
 from study.errors import (
     FileFormatError,
     GeometryError,
+    IncompletePlanWarning,
     InputError,
     PlanningError,
     PlanViolation,
     TargetUnreachableError,
 )
-from study.planners import FitnessTerm, Plan, PlannerSettings, fitness_score, plan_passes, plan_path
+from study.planners import (
+    FitnessTerm,
+    FitnessWeights,
+    Plan,
+    PlannerSettings,
+    fitness_score,
+    plan_passes,
+    plan_path,
+)
 from study.volumes import PLANNING_NAMES, LabelVolume, read_volume
 
 STRATEGIES = ("3d", "zigzag")
@@ -208,6 +217,45 @@ def test_a_user_term_changes_the_path_as_asked():
         plan_path(volume, settings=PlannerSettings(terms=(FitnessTerm("bad", 1.0, depth[1:]),)))
 
 
+def test_pits_apart_on_flat_bone_are_both_milled():
+    labels = np.zeros((70, 90, 40), np.uint8)
+    labels[40:] = 1
+    labels[40:52, 10:30, 10:30] = labels[40:52, 60:80, 10:30] = 2
+    volume = LabelVolume(labels, np.diag([0.4, 0.4, 0.4, 1.0]), PLANNING_NAMES)
+    for strategy in STRATEGIES:
+        plan = plan_path(volume, strategy, approach=[1, 0, 0])
+        plan.verify()
+        assert plan.left.sum() == 0
+
+
+def test_target_that_cannot_be_reached_is_warned_of():
+    labels = np.zeros((46, 90, 40), np.uint8)
+    labels[16:] = 1
+    labels[16:28, 10:30, 10:30] = labels[16:28, 60:78, 12:30] = 2
+    labels[:, 40:50] = 1  # a wall up to the image's edge
+    volume = LabelVolume(labels, np.diag([0.4, 0.4, 0.4, 1.0]), PLANNING_NAMES)
+    with pytest.warns(IncompletePlanWarning, match="leaves"):
+        plan = plan_path(volume, approach=[1, 0, 0])
+    plan.verify()
+    assert 0.3 < plan.left_fraction < 0.5  # it took the larger pit
+
+
+@pytest.mark.parametrize(
+    "thresholds", [{"min_overlap_deg": 5.0}, {"min_window_deg": 1.0, "min_overlap_deg": 1.0, "seed": 4}]
+)
+def test_a_burr_that_trapped_itself_backs_out(thresholds):
+    volume = read_volume(real("temporal_bone/LT143/planning_0p38.nrrd"))
+    plan = plan_path(volume, settings=PlannerSettings(**thresholds))
+    plan.verify()
+    assert plan.left_fraction <= 0.001
+
+
+def test_a_finishing_plan_can_be_read_back(tmp_path):
+    last = plan_passes(cone_volume(shape=(40, 44, 40), depth=8.0, top=7.0), [5.0, 3.0])[-1]
+    last.to_csv(tmp_path / "pass.csv")
+    Plan.read_csv(tmp_path / "pass.csv", last.volume, drill=last.drill).verify()
+
+
 def test_passes_go_from_large_to_small_and_leave_less():
     volume = cone_volume(shape=(40, 44, 40), depth=8.0, top=7.0)
     plans = plan_passes(volume, [3.0, 5.0])
@@ -272,6 +320,9 @@ def test_bad_requests_are_refused():
         ({"dof": 6}, InputError),
         ({"approach": [0, 0, 0]}, InputError),
         ({"approach": [np.nan, 0, 0]}, InputError),
+        ({"approach": "left"}, InputError),
+        ({"approach": [1, 0]}, InputError),
+        ({"settings": PlannerSettings(cutting_depth=8.0)}, InputError),
         ({"settings": PlannerSettings(rotation_axis=0)}, InputError),
     ]:
         with pytest.raises(error):
@@ -284,6 +335,9 @@ def test_bad_requests_are_refused():
         {"row_pitch": -1},
         {"seed": -1},
         {"boundary_connectivity": 18},
+        {"seed": 1.5},
+        {"row_pitch": 2.5},
+        {"weights": FitnessWeights(direction=float("nan"))},
     ]:
         with pytest.raises(InputError, match=next(iter(settings))):
             PlannerSettings(**settings)

@@ -97,6 +97,17 @@ class CanonicalFrame:
         return np.cos(tilts)[:, None] * outward + np.sin(tilts)[:, None] * lateral
 
 
+def check_direction(approach: np.ndarray) -> np.ndarray:
+    """The approach as (3,) floats; `InputError` unless it is three finite numbers that are not all zero."""
+    try:
+        direction = np.asarray(approach, dtype=float)
+    except (TypeError, ValueError):
+        direction = np.full(1, np.nan)
+    if direction.shape != (3,) or not np.isfinite(direction).all() or not direction.any():
+        raise InputError(f"approach: expected a (3,) direction in mm, got {approach!r}")
+    return direction
+
+
 def check_orthogonal(volume: LabelVolume) -> None:
     """Raise `GeometryError` unless the index axes are at right angles (flips and rotations are fine)."""
     skew = volume.directions.T @ volume.directions - np.eye(3)
@@ -200,9 +211,7 @@ def canonical_frame(
     InputError
         If `approach` is not three finite numbers or zero, or `rotation_axis` is the approach axis.
     """
-    approach = np.asarray(approach, dtype=float)
-    if approach.shape != (3,) or not np.isfinite(approach).all() or not approach.any():
-        raise InputError(f"approach: expected a (3,) direction in mm, got {approach!r}")
+    approach = check_direction(approach)
     along = volume.directions.T @ approach
     depth_axis = int(np.argmax(np.abs(along)))
     if rotation_axis == depth_axis:

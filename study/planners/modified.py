@@ -12,6 +12,9 @@ from study.errors import InputError, LabelError, PlanningError
 from study.volumes import LabelVolume
 from study.volumes.distances import overlapped_by_ball
 
+#: How far around the target positions are looked at through which the burr may pass, in mm.
+LIFT_MM = 10.0
+
 
 @dataclass(frozen=True, eq=False)
 class ModifiedVolume:
@@ -125,11 +128,12 @@ def modified_volume(
     air, target = check_planning_volume(volume)
     spacing = volume.spacing
     reach = np.floor(burr_radius / spacing + 0.5).astype(int)
-    # Everything happens within the burr's reach of the target: work in that box.
+    # Work in a box around the target: the burr's reach, and room to lift it over bone between pits.
+    lift = np.ceil(LIFT_MM / spacing).astype(int)
     corners = [np.flatnonzero(target.any(axis=tuple({0, 1, 2} - {axis}))) for axis in range(3)]
     low = np.array([c[0] for c in corners]) - reach
     high = np.array([c[-1] for c in corners]) + reach + 1
-    box_low, box_high = np.maximum(low - reach, 0), np.minimum(high + reach, volume.shape)
+    box_low, box_high = np.maximum(low - reach - lift, 0), np.minimum(high + reach + lift, volume.shape)
     box = tuple(slice(a, b) for a, b in zip(box_low, box_high, strict=True))
     air_box, target_box = air[box], target[box]
     protected = ~(air_box | target_box)

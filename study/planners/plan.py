@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from study.collision import Drill
-from study.errors import FileFormatError, InputError
+from study.errors import FileFormatError, InputError, PlanningError
 from study.files import written_whole
 from study.planners.modified import ModifiedVolume
 from study.planners.settings import PlannerSettings
@@ -49,6 +49,8 @@ class Plan:
         Accessible targeted voxels that were not cleared.
     planning_time_s : float
         From volume to path.
+    unmodified : LabelVolume or None
+        The volume of a plan read from a file, when no modified volume can be made of it.
     """
 
     points: np.ndarray
@@ -65,6 +67,7 @@ class Plan:
     accessible: np.ndarray | None = None
     left: np.ndarray | None = None
     planning_time_s: float = float("nan")
+    unmodified: LabelVolume | None = None
 
     def __post_init__(self) -> None:
         points, axes = np.asarray(self.points, float), np.asarray(self.axes, float)
@@ -89,6 +92,8 @@ class Plan:
         InputError
             If the plan was read from a file without it.
         """
+        if self.modified is None and self.unmodified is not None:
+            return self.unmodified
         if self.modified is None:
             raise InputError("this plan was read without its volume: pass volume= to Plan.read_csv")
         return self.modified.volume
@@ -102,6 +107,13 @@ class Plan:
     def length_mm(self) -> float:
         """Length of the burr centre's path."""
         return float(self.step_lengths.sum())
+
+    @property
+    def left_fraction(self) -> float:
+        """Share of the accessible modified target that was not cleared (modified final / initial)."""
+        if self.left is None or self.accessible is None:
+            raise InputError("this plan was read from a file: what it left is known only to the replay")
+        return float(np.count_nonzero(self.left) / np.count_nonzero(self.accessible))
 
     def summary(self) -> pd.Series:
         """The planner's columns of Tables A.1-A.4, lengths truly in mm.
@@ -120,7 +132,7 @@ class Plan:
         return pd.Series(
             {
                 "predicted_path_length_mm": self.length_mm,
-                "modified_final_over_initial_ratio": np.count_nonzero(self.left) / targeted,
+                "modified_final_over_initial_ratio": self.left_fraction,
                 "unmodified_final_over_initial_ratio": (
                     self.remaining.volume_mm3("target") / volume.volume_mm3("target")
                 ),
@@ -174,8 +186,18 @@ class Plan:
             )
         values = table[list(CSV_COLUMNS)].to_numpy(dtype=float)
         if volume is not None:
-            drill = known.get("drill", Drill())
-            known.setdefault("modified", modified_volume(volume, drill.burr_radius))
+            drill, settings = known.get("drill", Drill()), known.get("settings", PlannerSettings())
+            known["unmodified"] = volume
+            try:
+                modified = modified_volume(
+                    volume,
+                    drill.burr_radius,
+                    boundary_connectivity=settings.boundary_connectivity,
+                    finishing=settings.finishing,
+                )
+            except PlanningError:  # a later pass on little bone: can be verified all the same
+                modified = None
+            known.setdefault("modified", modified)
         return cls(values[:, :3], values[:, 3:6], values[:, 6], **known)
 
     def to_markups(self, path: str | Path, name: str = "milling path") -> None:

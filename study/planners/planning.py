@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import time
+import warnings
 from collections.abc import Iterator
 from functools import lru_cache
 
 import numpy as np
+from scipy import ndimage
 
 from study.collision import CanonicalFrame, Drill, build_shaft, canonical_frame, find_approach
-from study.collision.frame import check_orthogonal
-from study.errors import InputError, PlanningError, TargetUnreachableError
+from study.collision.frame import check_direction, check_orthogonal
+from study.errors import IncompletePlanWarning, InputError, PlanningError, TargetUnreachableError
 from study.planners.fitness import compile_terms
 from study.planners.modified import ModifiedVolume, modified_volume
 from study.planners.plan import Plan
@@ -114,22 +116,39 @@ def _start_voxels(labels: np.ndarray, steps: np.ndarray) -> Iterator[np.ndarray]
             yield np.array([layer, depth, lateral], dtype=np.int64)
 
 
+def _connected(labels: np.ndarray, allowed: np.ndarray) -> Iterator[np.ndarray]:
+    """Targeted voxels that hang together through allowed positions, the largest part first."""
+    parts, n = ndimage.label(allowed)
+    if n <= 1:
+        yield labels != 0
+        return
+    counts = np.bincount(parts[labels != 0], minlength=n + 1)
+    for part in np.argsort(-counts, kind="stable"):
+        if counts[part]:
+            yield (labels != 0) & (parts == part)
+
+
 def _first_accessible(canonical: _Canonical, sim, settings: PlannerSettings) -> np.ndarray:
-    """The start voxel: the outermost targeted voxel that the shaft reaches through unmilled bone."""
+    """The start voxel: the outermost targeted voxel that the shaft reaches past unmilled bone.
+
+    In the largest connected part of the target of which any can be reached.
+    """
     if not canonical.modified.any():
         raise TargetUnreachableError(
             f"none of the {canonical.dropped} burr positions in the target can be reached by the shaft past "
             f"protected bone within {settings.max_tilt_deg:g} degrees of the approach"
         )
     limit = sim.shaft.max_tilt
-    for start in _start_voxels(canonical.modified, canonical.frame.steps):
-        free, _, _ = strategies.accessible_window(
-            sim.shaft, *start, -limit, limit, sim.min_window, sim.min_overlap
-        )
-        if free:
-            return start
+    for part in _connected(canonical.modified, canonical.allowed):
+        for start in _start_voxels(part, canonical.frame.steps):
+            free, _, _ = strategies.accessible_window(
+                sim.shaft, *start, -limit, limit, sim.min_window, sim.min_overlap
+            )
+            if free:
+                return start
     raise TargetUnreachableError(
-        "no targeted voxel can be reached from outside past unmilled bone: expected a target open to the air"
+        "no targeted voxel can be reached from outside past unmilled bone: expected a target open to the "
+        "air, with room for the burr inside the image (LabelVolume.padded adds air)"
     )
 
 
@@ -184,7 +203,12 @@ def plan_path(
         boundary_connectivity=settings.boundary_connectivity,
         finishing=settings.finishing,
     )
-    approach = find_approach(volume) if approach is None else np.asarray(approach, dtype=float)
+    approach = find_approach(volume) if approach is None else check_direction(approach)
+    if settings.cutting_depth > drill.burr_radius:
+        raise InputError(
+            f"cutting_depth: expected at most the burr's radius of {drill.burr_radius:g} mm, "
+            f"got {settings.cutting_depth:g} mm"
+        )
 
     reach_burr = np.floor(drill.burr_radius / volume.spacing + 0.5).astype(int) + 1
     reach_super = supervoxel_reach(settings.cutting_depth, volume.spacing)
@@ -216,7 +240,7 @@ def plan_path(
     labels = volume.labels.copy()
     solid = frame.original(sim.solid)
     labels[volume.mask("target") & (solid == 0)] = volume.names["air"]
-    return Plan(
+    plan = Plan(
         points=volume.points(frame.to_indices(rows[:, :3])),
         axes=frame.shaft_axes(rows[:, 3], volume.directions),
         removed=rows[:, 4] * volume.voxel_volume,
@@ -232,6 +256,14 @@ def plan_path(
         left=frame.original(sim.modified) != 0,
         planning_time_s=elapsed,
     )
+    if plan.left_fraction > 0.001:
+        warnings.warn(
+            f"the plan leaves {100 * plan.left_fraction:.1f} % of the accessible modified target: no way "
+            "leads there with windows and overlaps of the asked width",
+            IncompletePlanWarning,
+            stacklevel=2,
+        )
+    return plan
 
 
 def _build(canonical: _Canonical, drill: Drill, settings: PlannerSettings):
@@ -246,7 +278,7 @@ def _build(canonical: _Canonical, drill: Drill, settings: PlannerSettings):
     labels = canonical.modified
     covers = np.zeros(shape, np.uint16)
     crowded = np.ones(shape, np.bool_)
-    near = _box(canonical.allowed) if canonical.allowed.any() else np.zeros((2, 3), np.int64)
+    near = _box(labels, 2 * reach + 1) if labels.any() else np.zeros((2, 3), np.int64)
     simulation.count_covers(labels, canonical.allowed, reach, near, covers, crowded)
     top = np.zeros(shape, np.uint16)
     simulation.count_top(canonical.solid, top_rows, labels, top)

@@ -81,6 +81,13 @@ class PlannerSettings:
             if not condition:
                 raise InputError(f"{name}: expected {expected}, got {getattr(self, name)!r}")
 
+        def whole(name: str) -> bool:
+            value = getattr(self, name)
+            return isinstance(value, int | np.integer) and not isinstance(value, bool)
+
+        require(bool(np.isfinite(self.weights.as_array()).all()), "weights", "five finite numbers")
+        for name in ("row_pitch", "layer_pitch", "rotation_axis", "boundary_connectivity", "seed"):
+            require(whole(name), name, "a whole number")
         require(np.isfinite(self.cutting_depth) and self.cutting_depth > 0, "cutting_depth", "mm above 0")
         require(0 < self.max_tilt_deg <= 80, "max_tilt_deg", "degrees above 0 and at most 80")
         require(

@@ -41,6 +41,12 @@ class Simulation(NamedTuple):
     random: np.ndarray  # uint32, drawn in numpy
 
 
+@inner
+def _ball_overlaps_box(x, y, z, hx, hy, hz, radius):
+    x, y, z = max(0.0, abs(x) - hx), max(0.0, abs(y) - hy), max(0.0, abs(z) - hz)
+    return x * x + y * y + z * z < radius * radius * (1 - 1e-12)
+
+
 @kernel
 def segment_overlaps_box(ax, ay, az, bx, by, bz, hx, hy, hz, radius):
     """Whether a ball moving from a to b overlaps a box centred on the origin with half sizes h.
@@ -78,9 +84,10 @@ def segment_overlaps_box(ax, ay, az, bx, by, bz, hx, hy, hz, radius):
 
 @kernel
 def swept_parts(longest, steps, radius):
-    """Voxels a ball overlaps on each part of a straight move to a non-negative offset.
+    """Voxels a ball newly overlaps on each part of a straight move to a non-negative offset.
 
-    A move to (a, b, c) has max(a, b, c) equal parts. Returns first and count ``[a, b, c, part]`` and
+    A move to (a, b, c) has max(a, b, c) equal parts; what the ball overlaps where a part begins has
+    gone before. Returns first and count ``[a, b, c, part]`` and
     the (n, 3) offsets from the start voxel; other signs are mirror images.
     """
     n = longest + 1
@@ -103,10 +110,16 @@ def swept_parts(longest, steps, radius):
                     for i in range(int(s * a) - reach[0], int(e * a) + reach[0] + 2):
                         for j in range(int(s * b) - reach[1], int(e * b) + reach[1] + 2):
                             for k in range(int(s * c) - reach[2], int(e * c) + reach[2] + 2):
+                                x, y, z = (
+                                    (s * a - i) * steps[0],
+                                    (s * b - j) * steps[1],
+                                    (s * c - k) * steps[2],
+                                )
+                                if _ball_overlaps_box(x, y, z, hx, hy, hz, radius):
+                                    continue
                                 if segment_overlaps_box(
-                                    (s * a - i) * steps[0], (s * b - j) * steps[1], (s * c - k) * steps[2],
-                                    (e * a - i) * steps[0], (e * b - j) * steps[1], (e * c - k) * steps[2],
-                                    hx, hy, hz, radius,
+                                    x, y, z, (e * a - i) * steps[0], (e * b - j) * steps[1],
+                                    (e * c - k) * steps[2], hx, hy, hz, radius,
                                 ):  # fmt: skip
                                     if used == offsets.shape[0]:
                                         longer = np.empty((2 * used, 3), np.int16)

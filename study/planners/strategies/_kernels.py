@@ -16,13 +16,14 @@ from study.planners.motion._kernels import (
     WITHIN_SLICE,
     arrive,
     direct_step,
+    find_way,
     go,
     short_path,
     step_to,
     turn,
     window_from,
 )
-from study.planners.simulation._kernels import BOUNDARY, FULL, LEFT, mill_ball, record
+from study.planners.simulation._kernels import BOUNDARY, FULL, LEFT, ROWS, mill_ball, record
 
 TERM = nb.types.float64(
     nb.types.float64, nb.types.float64, nb.types.float64, nb.types.float64, nb.types.float64
@@ -144,13 +145,9 @@ def begin(sim, burr, start):
 
 
 @inner
-def return_home(sim, search, burr, start):
-    """The way back to the start voxel (2.3.7); the way it came, reversed, if the search finds none."""
-    if burr[0] == start[0] and burr[1] == start[1] and burr[2] == start[2]:
-        return
-    if go(sim, search, burr, np.array([ONE_VOXEL, start[0], start[1], start[2]])):
-        return
-    for row in range(sim.counters[0] - 2, -1, -1):
+def _walk_back(sim, burr, rows, to):
+    """Retrace the first `rows` rows of the path to row `to`; what was free on the way in still is."""
+    for row in range(rows - 1, to - 1, -1):
         here = sim.path[row]
         if here[0] == burr[0] and here[1] == burr[1] and here[2] == burr[2]:
             turn(sim, burr, here[3])
@@ -158,6 +155,53 @@ def return_home(sim, search, burr, start):
             record(sim, here[0], here[1], here[2], burr[3], 0)
             burr[0], burr[1], burr[2] = here[0], here[1], here[2]
             turn(sim, burr, here[3])
+
+
+@inner
+def _stand_at(sim, row, pose):
+    """Fill `pose` with a row of the path and the window around its tilt; False between voxels."""
+    for n in range(4):
+        pose[n] = sim.path[row, n]
+    i, j, k = int(pose[0]), int(pose[1]), int(pose[2])
+    if i != pose[0] or j != pose[1] or k != pose[2]:
+        return False
+    free, pose[4], pose[5] = accessible_window(sim.shaft, i, j, k, pose[3] - 1e-9, pose[3] + 1e-9, 0.0, 0.0)
+    return free and pose[4] <= pose[3] <= pose[5]
+
+
+@inner
+def relocate(sim, search, burr, goal):
+    """Go to the nearest goal; where the burr has trapped itself, back out first.
+
+    A straight step can end where no single step leads on. Then the path is walked back to the first
+    of the poses 1, 2, 4, ... rows ago, or the very first, from which a way leads on. False if none does.
+    """
+    if go(sim, search, burr, goal):
+        return True
+    rows = sim.counters[ROWS]
+    pose = np.empty(6)
+    back = 1
+    while True:
+        row = max(0, rows - 1 - back)
+        while row > 0 and not _stand_at(sim, row, pose):
+            row -= 1
+        if _stand_at(sim, row, pose) and find_way(sim, search, pose, goal) >= 0:
+            _walk_back(sim, burr, rows, row)
+            burr[:] = pose
+            return go(sim, search, burr, goal)
+        if row == 0:
+            return False
+        back *= 2
+
+
+@inner
+def return_home(sim, search, burr, start):
+    """The way back to the start voxel (2.3.7); the way it came, reversed, if the search finds none."""
+    if burr[0] == start[0] and burr[1] == start[1] and burr[2] == start[2]:
+        return
+    if go(sim, search, burr, np.array([ONE_VOXEL, start[0], start[1], start[2]])):
+        return
+    _walk_back(sim, burr, sim.counters[ROWS], 0)
 
 
 @kernel
@@ -184,7 +228,7 @@ def run_3d(sim, search, start, weights, terms):
                 break
             n -= 1
             candidates[best], scores[best] = candidates[n], scores[n]
-        if not moved and not go(sim, search, burr, anything):
+        if not moved and not relocate(sim, search, burr, anything):
             break
         if burr[0] != l0 or burr[2] != b0:
             heading[0] = (burr[0] - l0) * sim.steps[0]
@@ -294,7 +338,7 @@ def run_zigzag(sim, search, start, targeted, row_axis, row_pitch, layer_pitch):
                     break
         top += layer_pitch
     while sim.counters[LEFT] > 0 and sim.counters[FULL] == 0:
-        if not go(sim, search, burr, anything):
+        if not relocate(sim, search, burr, anything):
             break
     return_home(sim, search, burr, start)
     return True
