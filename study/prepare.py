@@ -44,10 +44,10 @@ def chosen_profile() -> str:
 
 def tiny_volume() -> LabelVolume:
     """Return a block of bone with a target at its top, as small as a 5 mm burr allows."""
-    labels = np.zeros((16, 16, 16), np.uint8)
-    labels[:, :, :10] = 1
-    labels[4:12, 4:12, 4:10] = 2
-    return LabelVolume(labels, np.diag([1.0, 1.0, 1.0, 1.0]), {"air": 0, "protected": 1, "target": 2})
+    labels = np.zeros((30, 30, 32), np.uint8)
+    labels[:, :, :20] = 1
+    labels[4:26, 4:26, 8:20] = 2
+    return LabelVolume(labels, np.diag([0.4, 0.4, 0.4, 1.0]), {"air": 0, "protected": 1, "target": 2})
 
 
 def warm() -> None:

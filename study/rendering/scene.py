@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -229,8 +230,11 @@ def draw(build: Callable[[pv.Plotter], None], size: Sequence[int] = SIZE) -> np.
 
 
 def is_interactive() -> bool:
-    """Whether somebody sits in front of a notebook: a Jupyter kernel that is not a batch run."""
-    if os.environ.get("STUDY_BATCH"):
+    """Whether somebody sits in front of a notebook that can show a view to be turned.
+
+    A Jupyter kernel that is not a batch run (``STUDY_BATCH``), with pyvista's backend ``trame_pyvista``.
+    """
+    if os.environ.get("STUDY_BATCH") or importlib.util.find_spec("trame_pyvista") is None:
         return False
     shell = sys.modules["IPython"].get_ipython() if "IPython" in sys.modules else None
     return shell is not None and "IPKernelApp" in shell.config
@@ -270,8 +274,9 @@ def show(
             image.save(temporary)
     if not wanted:
         return image
-    plotter = pv.Plotter(notebook=True, window_size=list(size), lighting=None)
-    _light(plotter)
-    build(plotter)
-    plotter.add_axes(xlabel="L", ylabel="P", zlabel="S")
-    return plotter.show(jupyter_backend="trame", return_viewer=True)
+    with _quiet_about_displays():
+        plotter = pv.Plotter(notebook=True, window_size=list(size), lighting=None)
+        _light(plotter)
+        build(plotter)
+        plotter.add_axes(xlabel="L", ylabel="P", zlabel="S")
+        return plotter.show(jupyter_backend="trame", return_viewer=True)
