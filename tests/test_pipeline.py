@@ -123,7 +123,7 @@ def test_stage_depends_on_all_it_reads_and_keeps_nothing_in_a_cache(name):
     assert f"--output figures/executed/{name}.ipynb" in stage["cmd"]
     for output, options in outputs(stage).items():
         assert options["cache"] is False
-        assert Path(output).suffix in {".csv", ".json", ".png"}
+        assert Path(output).suffix in {".csv", ".json", ".png", ".vtp", ".nrrd"}
 
 
 def test_dvc_understands_the_pipeline_without_git():

@@ -8,8 +8,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Polygon, Wedge
 
-from study.collision import Drill
-from study.collision._kernels import pose_is_free
+from study.collision import Drill, window
 from study.planners import Plan
 from study.planners.moments import Moment
 from study.plots.modified import BURR, circle
@@ -87,12 +86,12 @@ def draw_drill(axes: Axes, drill: Drill, at: tuple[float, float], tilt: float, c
 
 def _blocked_tilt(moment: Moment) -> float | None:
     """A tilt outside the window that meets unmilled bone, radians; None where all are free."""
-    where = [float(round(i)) for i in moment.frame.from_indices(moment.index[None])[0]]
+    where = [round(i) for i in moment.frame.from_indices(moment.index[None])[0]]
     low, high = moment.window
     limit = moment.shaft.max_tilt
     steps = np.deg2rad(np.arange(6, 90, 3))
     for tilt in [t for step in steps for t in (high + step, low - step)]:
-        if abs(tilt) <= limit and not pose_is_free(moment.shaft, *where, tilt):
+        if abs(tilt) <= limit and window(moment.shaft, where, (tilt, tilt)) is None:
             return float(tilt)
     return None
 

@@ -22,6 +22,8 @@ from study.rendering.voxels import box_edges, voxel_cubes
 from study.volumes import LabelVolume
 
 RANKS = "cividis"
+#: Labels that are no structure to look at.
+HOLLOW = {"air", "air_cells", "middle_ear", "bone", "intracranial"}
 
 
 def _same_view(*scenes: Scene) -> None:
@@ -86,26 +88,29 @@ def modified_segmentation(modified: ModifiedVolume, approach: np.ndarray | None 
     )
 
 
-def anatomy(volume: LabelVolume, planning: LabelVolume, approach: np.ndarray | None = None) -> Figure:
+def anatomy(volume: LabelVolume | None, planning: LabelVolume, approach: np.ndarray | None = None) -> Figure:
     """The segmented bone from outside with the target, and the structures around the target inside it.
 
     Parameters
     ----------
-    volume : LabelVolume
-        Anatomical labels.
+    volume : LabelVolume or None
+        Anatomical labels; without them the target is shown in the protected bone only.
     planning : LabelVolume
         Of the same bone, with the target.
+    approach : (3,) array, optional
+        Outside -> bone; found if not given.
     """
     approach = find_approach(planning) if approach is None else approach
     outside, inside = (Scene(approach_view(approach, oblique=True)) for _ in range(2))
-    hollow = {"air", "air_cells", "middle_ear", "bone", "intracranial"}
-    names = [name for name in volume.names if _kind(name) not in hollow and volume.mask(name).any()]
-    bone = [name for name in volume.names if _kind(name) == "bone"]
     target = planning.mask("target")
-    for name in bone:
+    if volume is None:
+        outside.mask(_protected(planning), planning.affine, "protected")
+        outside.label(planning, "target", opacity=1.0)
+        return panels([outside])
+    names = [name for name in volume.names if _kind(name) not in HOLLOW and volume.mask(name).any()]
+    for name in (name for name in volume.names if _kind(name) == "bone"):
         kept = volume.mask(name)
-        kept = kept & ~target if kept.shape == target.shape else kept
-        outside.mask(kept, volume.affine, name)
+        outside.mask(kept & ~target if kept.shape == target.shape else kept, volume.affine, name)
     outside.label(volume, *names)
     outside.label(planning, "target", opacity=1.0)
     inside.label(volume, *[name for name in names if _kind(name) != "temporomandibular_joint"])
@@ -310,7 +315,7 @@ def path_in_region(plan: Plan) -> Figure:
     return figure
 
 
-def milling_strip(plan: Plan, n: int = 6, anatomy: LabelVolume | None = None) -> Figure:
+def milling_strip(plan: Plan, n: int = 6) -> Figure:
     """The bone as it is milled: the same view at `n` moments, with the drill where it is then.
 
     Parameters
@@ -318,10 +323,9 @@ def milling_strip(plan: Plan, n: int = 6, anatomy: LabelVolume | None = None) ->
     plan : Plan
         With its volume.
     n : int
-    anatomy : LabelVolume, optional
-        Of the same bone and grid; its critical structures shine through what is left of the target.
+        How many.
     """
-    view = approach_view(plan.approach, oblique=True).turned(12, 12)
+    view = approach_view(plan.approach, oblique=True)
     frames = milling_frames(plan, n)
     volume = plan.volume
     target = volume.mask("target")
@@ -357,13 +361,12 @@ def plan_scene(plan: Plan, anatomy: LabelVolume | None = None) -> Scene:
     if anatomy is None:
         scene.mask(_protected(volume), volume.affine, "protected")
     else:
-        skip = {"air", "air_cells", "middle_ear", "bone", "intracranial"}
         bone = [name for name in anatomy.names if _kind(name) == "bone"]
         left = anatomy.mask(*bone) if bone else _protected(volume)
         if anatomy.shape == volume.shape:
             left = left & (~volume.mask("target") | plan.remaining.mask("target"))
         scene.mask(left, anatomy.affine, "bone")
-        scene.label(anatomy, *[name for name in anatomy.names if _kind(name) not in skip])
+        scene.label(anatomy, *[name for name in anatomy.names if _kind(name) not in HOLLOW])
     if plan.remaining.mask("target").any():
         scene.label(plan.remaining, "target", opacity=1.0, title="targeted bone left")
     scene.path(plan.points, radius=0.1)
