@@ -15,10 +15,12 @@ import numba
 import numpy as np
 import yaml
 
+from study.collision._kernels import pose_is_free
 from study.errors import InputError, StudyError
 from study.files import written_whole
 from study.paths import PROJECT, output_folder
 from study.planners import plan_path
+from study.planners.moments import moment, telling_row
 from study.planners.planning import STRATEGIES
 from study.robots import predict_milling
 from study.volumes import LabelVolume
@@ -59,6 +61,9 @@ def warm() -> None:
         plan = plan_path(tiny_volume(), strategy=strategy)
         plan.verify()
         predict_milling(plan, density=np.ones(plan.remaining.shape))
+        if strategy == "3d":
+            state = moment(plan, telling_row(plan))
+            pose_is_free(state.shaft, *state.frame.from_indices(state.index[None])[0], state.tilt)
 
 
 def main() -> int:

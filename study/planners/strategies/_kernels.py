@@ -204,6 +204,36 @@ def return_home(sim, search, burr, start):
     _walk_back(sim, burr, sim.counters[ROWS], 0)
 
 
+@inner
+def candidate_arrays(sim):
+    """Room for the candidates of `rank_candidates` and their scores."""
+    most = (2 * sim.reach[0] + 3) * (2 * sim.reach[1] + 3) * (2 * sim.reach[2] + 3)
+    return np.empty((most, 3), np.int64), np.empty(most)
+
+
+@inner
+def decide(sim, search, burr, heading, weights, terms, candidates, scores):
+    """One decision: the best accessible candidate, or a relocation; False when nothing is left to reach."""
+    l0, b0 = burr[0], burr[2]
+    n = rank_candidates(sim, burr, heading, weights, terms, candidates, scores)
+    moved = False
+    while n > 0:
+        # The best is nearly always accessible: look it up lazily instead of sorting.
+        best = np.argmax(scores[:n])
+        i, j, k = candidates[best]
+        if take_step(sim, burr, i, j, k):
+            moved = True
+            break
+        n -= 1
+        candidates[best], scores[best] = candidates[n], scores[n]
+    if not moved and not relocate(sim, search, burr, np.array([ANY_TARGET, 0, 0, 0])):
+        return False
+    if burr[0] != l0 or burr[2] != b0:
+        heading[0] = (burr[0] - l0) * sim.steps[0]
+        heading[1] = (burr[2] - b0) * sim.steps[2]
+    return True
+
+
 @kernel
 def run_3d(sim, search, start, weights, terms):
     """Mill by fitness until no target voxel can be reached, then go home."""
@@ -211,28 +241,10 @@ def run_3d(sim, search, start, weights, terms):
     if not begin(sim, burr, start):
         return False
     heading = np.zeros(2)
-    most = (2 * sim.reach[0] + 3) * (2 * sim.reach[1] + 3) * (2 * sim.reach[2] + 3)
-    candidates = np.empty((most, 3), np.int64)
-    scores = np.empty(most)
-    anything = np.array([ANY_TARGET, 0, 0, 0])
+    candidates, scores = candidate_arrays(sim)
     while sim.counters[LEFT] > 0 and sim.counters[FULL] == 0:
-        l0, b0 = burr[0], burr[2]
-        n = rank_candidates(sim, burr, heading, weights, terms, candidates, scores)
-        moved = False
-        while n > 0:
-            # The best is nearly always accessible: look it up lazily instead of sorting.
-            best = np.argmax(scores[:n])
-            i, j, k = candidates[best]
-            if take_step(sim, burr, i, j, k):
-                moved = True
-                break
-            n -= 1
-            candidates[best], scores[best] = candidates[n], scores[n]
-        if not moved and not relocate(sim, search, burr, anything):
+        if not decide(sim, search, burr, heading, weights, terms, candidates, scores):
             break
-        if burr[0] != l0 or burr[2] != b0:
-            heading[0] = (burr[0] - l0) * sim.steps[0]
-            heading[1] = (burr[2] - b0) * sim.steps[2]
     return_home(sim, search, burr, start)
     return True
 
