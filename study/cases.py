@@ -53,7 +53,6 @@ class Case:
                     continue
         return None
 
-
     def most_delicate(self) -> tuple[str, np.ndarray]:
         """Name and mask of what to stay away from most: the facial nerve, if it is known.
 
