@@ -19,6 +19,7 @@ import pandas as pd
 
 from study.planners import plan_path
 from study.published import summary
+from study.robots import predict_milling
 from study.volumes import LabelVolume, read_volume
 
 ROOT = Path(__file__).parents[1]
@@ -103,6 +104,8 @@ def main(files: list[str]) -> None:
                     "modified_target_cm3": plan.summary()["modified_initial_target_cm3"],
                     "inaccessible_voxels": int((plan.modified.target & ~plan.accessible).sum()),
                     "left_voxels": int(plan.left.sum()),
+                    "target_left_percent": 100 * plan.summary()["unmodified_final_over_initial_ratio"],
+                    "milling_s": predict_milling(plan).time_s,
                     "path_m": plan.length_mm / 1000,
                     "plan_best_s": least,
                     "plan_median_s": median,
