@@ -48,6 +48,9 @@ def test_modified_volume_matches_morphology_done_plainly(seed, radius):
         for step in (1, -1):
             boundary |= target & np.roll(solid_outside, step, axis)
     assert np.array_equal(modified.boundary, boundary)
+    vertices = modified_volume(volume, radius, boundary_connectivity=26)
+    near_solid = ndimage.binary_dilation(solid_outside, np.ones((3, 3, 3)))
+    assert np.array_equal(vertices.boundary, target & near_solid)
     reached = ndimage.binary_dilation(modified.allowed, element)
     assert np.array_equal(modified.unreachable, (labels == 2) & ~reached)
     assert modified.target_cm3 == pytest.approx(target.sum() * np.prod(spacing) / 1000)

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy import ndimage
 
 from study.errors import InputError, LabelError, PlanningError
 from study.volumes import LabelVolume
@@ -90,6 +89,17 @@ def check_planning_volume(volume: LabelVolume) -> tuple[np.ndarray, np.ndarray]:
     return air, target
 
 
+def _touched(mask: np.ndarray, connectivity: int) -> np.ndarray:
+    """Voxels that share a face (6) or any vertex (26) with a voxel of `mask`."""
+    out = np.zeros_like(mask) if connectivity == 6 else mask.copy()
+    for axis in range(3):
+        source = np.moveaxis(mask if connectivity == 6 else out.copy(), axis, 0)
+        grown = np.moveaxis(out, axis, 0)
+        grown[1:] |= source[:-1]
+        grown[:-1] |= source[1:]
+    return out
+
+
 def modified_volume(
     volume: LabelVolume, burr_radius: float, *, boundary_connectivity: int = 6, finishing: bool = False
 ) -> ModifiedVolume:
@@ -160,8 +170,7 @@ def modified_volume(
             f"{np.count_nonzero(target) * volume.voxel_volume:.1f} mm^3 without cutting protected voxels"
         )
     solid_outside = ~modified & ~air_box
-    neighbours = ndimage.generate_binary_structure(3, 1 if boundary_connectivity == 6 else 3)
-    boundary = modified & ndimage.binary_dilation(solid_outside, neighbours)
+    boundary = modified & _touched(solid_outside, boundary_connectivity)
 
     def whole(part: np.ndarray) -> np.ndarray:
         out = np.zeros(volume.shape, dtype=bool)

@@ -29,11 +29,14 @@ def _widened_rows(mask, reach, out):
 
 @kernel
 def dilate_by_rows(mask, rows, reach):
-    """Dilate a mask by the element whose rows are (offset, offset, reach along the last axis)."""
+    """Dilate a uint8 mask by the element whose rows are (offset, offset, reach along the last axis).
+
+    Bytes, not booleans: only then does the innermost loop vectorise.
+    """
     n0, n1, n2 = mask.shape
-    widened = np.empty((reach + 1, n0, n1, n2), np.bool_)
+    widened = np.empty((reach + 1, n0, n1, n2), np.uint8)
     _widened_rows(mask, reach, widened)
-    out = np.zeros((n0, n1, n2), np.bool_)
+    out = np.zeros((n0, n1, n2), np.uint8)
     filled = np.zeros((n0, n1), np.bool_)
     for i in range(n0):
         for j in range(n1):

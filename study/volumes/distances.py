@@ -26,4 +26,7 @@ def overlapped_by_ball(mask: np.ndarray, radius: float, spacing: np.ndarray) -> 
     (nx, ny, nz) bool array
     """
     rows = element_rows(ball_element(radius, spacing))
-    return _kernels.dilate_by_rows(np.ascontiguousarray(mask, dtype=np.bool_), rows, int(rows[:, 2].max()))
+    grown = _kernels.dilate_by_rows(
+        np.ascontiguousarray(mask, dtype=np.bool_).view(np.uint8), rows, int(rows[:, 2].max())
+    )
+    return grown.view(np.bool_)
