@@ -68,6 +68,10 @@ class _Canonical:
         self.allowed = frame.canonical(modified.allowed)
         labels = modified.target.view(np.uint8) + modified.boundary.view(np.uint8)
         self.modified = frame.canonical(labels)
+        # The burr lifts over bone between pits, but has no business beside the target.
+        low, high = _box(self.modified, 1)
+        self.allowed[: low[0]] = self.allowed[high[0] :] = False
+        self.allowed[:, :, : low[2]] = self.allowed[:, :, high[2] :] = False
         max_tilt = np.deg2rad(settings.max_tilt_deg)
         self.min_window = np.deg2rad(settings.min_window_deg)
         protected = (self.solid == 1).astype(np.uint8)
