@@ -9,7 +9,7 @@ from scipy import ndimage
 
 from study.errors import LabelError, PlanningError
 from study.planners import modified_volume
-from study.planners.planning import supervoxel_reach
+from study.planners.planning import supervoxel_reach, swept_moves
 from study.planners.simulation import _kernels as simulation
 from study.volumes import PLANNING_NAMES, LabelVolume, ball_element
 
@@ -77,7 +77,7 @@ def test_moving_ball_overlaps_a_box_when_a_dense_walk_does(seed):
 
 def test_swept_parts_are_what_a_dense_walk_adds():
     steps, radius = np.array([0.4, 0.35, 0.45]), 1.1
-    first, count, offsets = simulation.swept_parts(2, steps, radius)
+    first, count, offsets = swept_moves(2, steps, radius)
     for move in [(1, 0, 0), (2, 1, 0), (2, 2, 2), (0, 1, 2)]:
         found = set()
         for part in range(1, max(move) + 1):

@@ -34,6 +34,25 @@ def supervoxel_reach(cutting_depth: float, spacing: np.ndarray) -> np.ndarray:
     return np.maximum(np.floor(cutting_depth / spacing + 1e-9), 0).astype(np.int64)
 
 
+def swept_moves(longest: int, steps: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What the burr newly overlaps on every straight move of up to `longest` voxels an axis.
+
+    Returns
+    -------
+    first, count : (longest + 1,) * 4 int64 arrays
+        Where the voxels of a part begin in `offsets`, and how many they are: ``[a, b, c, part]``.
+    offsets : (n, 3) int16 array
+        From the voxel where the move starts.
+    """
+    capacity = 1 << 17
+    while True:
+        offsets = np.empty((capacity, 3), np.int16)
+        first, count, used = simulation.swept_parts(longest, steps, radius, offsets)
+        if used <= capacity:
+            return first, count, offsets[:used].copy()
+        capacity = used
+
+
 @lru_cache(maxsize=8)
 def _burr_geometry(radius: float, steps: tuple[float, float, float], reach: tuple[int, int, int]):
     """Offsets of the element, rows of its outer half, voxels swept by straight moves."""
@@ -43,8 +62,7 @@ def _burr_geometry(radius: float, steps: tuple[float, float, float], reach: tupl
     offsets = (np.argwhere(element) - middle).astype(np.int64)
     rows = element_rows(element)
     top_rows = np.ascontiguousarray(rows[rows[:, 1] < 0])
-    swept = simulation.swept_parts(int(max(reach)) + 1, steps_array, radius)
-    return offsets, top_rows, swept
+    return offsets, top_rows, swept_moves(int(max(reach)) + 1, steps_array, radius)
 
 
 def _box(mask: np.ndarray, grow: np.ndarray | int = 0) -> np.ndarray:

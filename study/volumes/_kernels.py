@@ -40,7 +40,10 @@ def dilate_by_rows(mask, rows, reach):
     filled = np.zeros((n0, n1), np.bool_)
     for i in range(n0):
         for j in range(n1):
-            filled[i, j] = mask[i, j].any()
+            for k in range(n2):
+                if mask[i, j, k]:
+                    filled[i, j] = True
+                    break
     for i in range(n0):
         for j in range(n1):
             for r in range(rows.shape[0]):

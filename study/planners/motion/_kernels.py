@@ -100,10 +100,14 @@ def short_path(sim, burr, layer, depth, lateral):
     broken at random, dead ends are backed out of. Moves the burr and returns True on success; leaves
     everything as it was otherwise.
     """
-    start = np.array([int(burr[0]), int(burr[1]), int(burr[2])])
-    goal = np.array([layer, depth, lateral])
-    span = np.abs(goal - start)
-    sign = np.sign(goal - start)
+    start = np.empty(3, np.int64)
+    span = np.empty(3, np.int64)
+    sign = np.ones(3, np.int64)
+    for n in range(3):
+        start[n] = int(burr[n])
+        span[n] = (layer, depth, lateral)[n] - start[n]
+        if span[n] < 0:
+            span[n], sign[n] = -span[n], -1
     length = span[0] + span[1] + span[2]
     dead = np.zeros((span[0] + 1, span[1] + 1, span[2] + 1), np.bool_)
     trail = np.zeros((length + 1, 3), np.int64)
@@ -111,7 +115,7 @@ def short_path(sim, burr, layer, depth, lateral):
     high = np.zeros(length + 1)
     low[0], high[0] = burr[4], burr[5]
     n = 0
-    order = np.arange(3)
+    order = np.array([0, 1, 2])
     while n < length:
         for k in range(2):  # shuffle the three axes
             other = k + draw(sim, 3 - k)
@@ -121,18 +125,19 @@ def short_path(sim, burr, layer, depth, lateral):
             axis = order[k]
             if trail[n, axis] == span[axis]:
                 continue
-            trail[n + 1] = trail[n]
-            trail[n + 1, axis] += 1
-            if dead[trail[n + 1, 0], trail[n + 1, 1], trail[n + 1, 2]]:
+            for m in range(3):
+                trail[n + 1, m] = trail[n, m] + (1 if m == axis else 0)
+            a, b, c = trail[n + 1, 0], trail[n + 1, 1], trail[n + 1, 2]
+            if dead[a, b, c]:
                 continue
-            voxel = start + sign * trail[n + 1]
-            if sim.allowed[voxel[0], voxel[1], voxel[2]]:
-                free, a, z = window_from(sim, low[n], high[n], voxel[0], voxel[1], voxel[2])
+            i, j, o = start[0] + sign[0] * a, start[1] + sign[1] * b, start[2] + sign[2] * c
+            if sim.allowed[i, j, o]:
+                free, narrow, wide = window_from(sim, low[n], high[n], i, j, o)
                 if free:
-                    low[n + 1], high[n + 1] = a, z
+                    low[n + 1], high[n + 1] = narrow, wide
                     advanced = True
                     break
-            dead[trail[n + 1, 0], trail[n + 1, 1], trail[n + 1, 2]] = True
+            dead[a, b, c] = True
         if advanced:
             n += 1
         elif n == 0:
@@ -141,8 +146,9 @@ def short_path(sim, burr, layer, depth, lateral):
             dead[trail[n, 0], trail[n, 1], trail[n, 2]] = True
             n -= 1
     for k in range(1, length + 1):
-        voxel = start + sign * trail[k]
-        step_to(sim, burr, voxel[0], voxel[1], voxel[2], low[k], high[k])
+        i, j, o = (start[0] + sign[0] * trail[k, 0], start[1] + sign[1] * trail[k, 1],
+                   start[2] + sign[2] * trail[k, 2])  # fmt: skip
+        step_to(sim, burr, i, j, o, low[k], high[k])
     return True
 
 

@@ -83,12 +83,12 @@ def segment_overlaps_box(ax, ay, az, bx, by, bz, hx, hy, hz, radius):
 
 
 @kernel
-def swept_parts(longest, steps, radius):
+def swept_parts(longest, steps, radius, offsets):
     """Voxels a ball newly overlaps on each part of a straight move to a non-negative offset.
 
     A move to (a, b, c) has max(a, b, c) equal parts; what the ball overlaps where a part begins has
-    gone before. Returns first and count ``[a, b, c, part]`` and
-    the (n, 3) offsets from the start voxel; other signs are mirror images.
+    gone before. Fills `offsets` (n, 3) with the voxels, from the start voxel, as far as they fit; other
+    signs are mirror images. Returns first and count ``[a, b, c, part]`` and how many there are.
     """
     n = longest + 1
     first = np.zeros((n, n, n, n), np.int64)
@@ -96,8 +96,6 @@ def swept_parts(longest, steps, radius):
     reach = np.empty(3, np.int64)
     for k in range(3):
         reach[k] = int(radius / steps[k] + 0.5) + 1
-    capacity = 1 << 16
-    offsets = np.empty((capacity, 3), np.int16)
     used = 0
     hx, hy, hz = steps[0] / 2, steps[1] / 2, steps[2] / 2
     for a in range(n):
@@ -108,27 +106,20 @@ def swept_parts(longest, steps, radius):
                     s, e = (part - 1) / parts, part / parts
                     first[a, b, c, part] = used
                     for i in range(int(s * a) - reach[0], int(e * a) + reach[0] + 2):
+                        x, x_end = (s * a - i) * steps[0], (e * a - i) * steps[0]
                         for j in range(int(s * b) - reach[1], int(e * b) + reach[1] + 2):
+                            y, y_end = (s * b - j) * steps[1], (e * b - j) * steps[1]
                             for k in range(int(s * c) - reach[2], int(e * c) + reach[2] + 2):
-                                x, y, z = (
-                                    (s * a - i) * steps[0],
-                                    (s * b - j) * steps[1],
-                                    (s * c - k) * steps[2],
-                                )
+                                z, z_end = (s * c - k) * steps[2], (e * c - k) * steps[2]
                                 if _ball_overlaps_box(x, y, z, hx, hy, hz, radius):
                                     continue
-                                if segment_overlaps_box(
-                                    x, y, z, (e * a - i) * steps[0], (e * b - j) * steps[1],
-                                    (e * c - k) * steps[2], hx, hy, hz, radius,
-                                ):  # fmt: skip
-                                    if used == offsets.shape[0]:
-                                        longer = np.empty((2 * used, 3), np.int16)
-                                        longer[:used] = offsets
-                                        offsets = longer
+                                if not segment_overlaps_box(x, y, z, x_end, y_end, z_end, hx, hy, hz, radius):
+                                    continue
+                                if used < offsets.shape[0]:
                                     offsets[used, 0], offsets[used, 1], offsets[used, 2] = i, j, k
-                                    used += 1
+                                used += 1
                     count[a, b, c, part] = used - first[a, b, c, part]
-    return first, count, offsets[:used].copy()
+    return first, count, used
 
 
 @inner

@@ -187,7 +187,8 @@ def relocate(sim, search, burr, goal):
             row -= 1
         if _stand_at(sim, row, pose) and find_way(sim, search, pose, goal) >= 0:
             _walk_back(sim, burr, rows, row)
-            burr[:] = pose
+            for n in range(6):
+                burr[n] = pose[n]
             return go(sim, search, burr, goal)
         if row == 0:
             return False
@@ -334,7 +335,7 @@ def run_zigzag(sim, search, start, targeted, row_axis, row_pitch, layer_pitch):
     n_depth = targeted.shape[1]
     first, last = n_depth, -1
     for d in range(n_depth):
-        if targeted[:, d, :].any():
+        if sim.left_at_depth[d] > 0:
             first, last = min(first, d), max(last, d)
     top = first
     while top <= last and sim.counters[FULL] == 0:
