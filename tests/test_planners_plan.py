@@ -97,7 +97,8 @@ def test_exports_open_in_other_programs(plan, tmp_path):
     assert len(positions) < len(plan.points)
     plan.to_polyline(tmp_path / "path.vtp")
     line = pv.read(tmp_path / "path.vtp")
-    assert line.length == pytest.approx(plan.length_mm, rel=1e-4) or line.n_points == len(plan.points)
+    assert line.n_lines == 1
+    assert np.allclose(line.points, plan.points, atol=1e-4)
     assert line["removed_mm3"].sum() == pytest.approx(plan.removed.sum(), rel=1e-5)
 
 
@@ -131,6 +132,14 @@ def test_oblique_volume_gives_the_rotated_path():
     assert np.allclose(oblique.volume.indices(oblique.points), straight.volume.indices(straight.points))
     assert np.allclose(oblique.axes @ oblique.volume.directions, straight.axes)
     oblique.verify()
+
+
+def test_zigzag_rows_lie_as_far_apart_as_the_3d_planner_steps():
+    default = plan_path(small_cone(), "zigzag")
+    three = plan_path(small_cone(), "zigzag", settings=PlannerSettings(row_pitch=3, layer_pitch=3))
+    two = plan_path(small_cone(), "zigzag", settings=PlannerSettings(row_pitch=2, layer_pitch=2))
+    assert np.array_equal(default.points, three.points)
+    assert two.length_mm > three.length_mm
 
 
 @pytest.mark.parametrize("strategy", STRATEGIES)

@@ -45,8 +45,9 @@ class PlannerSettings:
         Smallest overlap of a voxel's range with the current one (2.3.3, not printed; 2 degrees.
         10 degrees of overlap left 65 voxels behind on a real bone).
     row_pitch, layer_pitch : int
-        Zigzag only: voxels between rows and between layers. 0 takes the supervoxel's size, the
-        widest pitch at which neighbouring rows leave no residue between them. Not printed.
+        Zigzag only: voxels between rows and between layers. Not printed, and decisive for the length.
+        0 takes the supervoxel's reach and one more, the farthest the 3-D planner itself steps, so that
+        both planners take the same depth of cut; rows up to the supervoxel's size apart leave no residue.
     rotation_axis : int
         Grid axis about which the 4-DOF robot tilts the drill; -1 chooses the one of the two axes
         across the approach that reaches more of the target (then the one with the wider windows).
@@ -94,8 +95,8 @@ class PlannerSettings:
             0 <= self.min_window_deg <= 2 * self.max_tilt_deg, "min_window_deg", "0 to twice max_tilt_deg"
         )
         require(0 <= self.min_overlap_deg <= self.min_window_deg, "min_overlap_deg", "0 to min_window_deg")
-        require(self.row_pitch >= 0, "row_pitch", "voxels, 0 for the supervoxel's size")
-        require(self.layer_pitch >= 0, "layer_pitch", "voxels, 0 for the supervoxel's size")
+        require(self.row_pitch >= 0, "row_pitch", "voxels, 0 for the supervoxel's reach and one more")
+        require(self.layer_pitch >= 0, "layer_pitch", "voxels, 0 for the supervoxel's reach and one more")
         require(self.rotation_axis in (-1, 0, 1, 2), "rotation_axis", "0, 1, 2 or -1 to choose")
         require(self.boundary_connectivity in (6, 26), "boundary_connectivity", "6 or 26")
         require(self.seed >= 0, "seed", "an integer of at least 0")

@@ -156,7 +156,7 @@ def short_path(sim, burr, layer, depth, lateral):
 def find_way(sim, search, burr, goal):
     """Flood outwards from the burr through positions whose windows overlap, to the nearest goal.
 
-    Parameters: `search` is (stamp int32, came int8, low float32, high float32, queue int32 arrays over
+    Parameters: `search` is (stamp int32, came int8, low float64, high float64, queue int32 arrays over
     voxels, and a one-element int32 array counting the floods); `goal` is an int64 array: ANY_TARGET
     (unmilled), ONE_VOXEL and the voxel, SLICE (unmilled target at one depth) and the depth, or
     WITHIN_SLICE and the depth, which does not leave the depth the burr is at.
