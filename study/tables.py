@@ -325,7 +325,7 @@ def save_figure(figure: Figure, path: str | os.PathLike[str], dpi: int = 150) ->
         Dots per inch.
     """
     with written_whole(path) as temporary:
-        figure.savefig(temporary, dpi=dpi, metadata={"Software": None})
+        figure.savefig(temporary, dpi=dpi, bbox_inches="tight", pad_inches=0.08, metadata={"Software": None})
 
 
 def _sample(values: ArrayLike, name: str, least: int) -> np.ndarray:

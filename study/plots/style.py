@@ -37,7 +37,7 @@ class Picture(Figure):
 
     def _repr_png_(self) -> bytes:
         buffer = io.BytesIO()
-        self.savefig(buffer, format="png", dpi=RC["figure.dpi"])
+        self.savefig(buffer, format="png", dpi=RC["figure.dpi"], bbox_inches="tight", pad_inches=0.08)
         return buffer.getvalue()
 
 
