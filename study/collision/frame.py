@@ -89,12 +89,19 @@ class CanonicalFrame:
             out[:, n] = self.low[n] + self.high[n] - 1 - out[:, n]
         return (out - np.array(self.low))[:, self.axes] + self.padding
 
-    def shaft_axes(self, tilts: np.ndarray, directions: np.ndarray) -> np.ndarray:
-        """(n, 3) mm unit vectors from the burr towards the drill body for (n,) tilts in radians."""
+    def shaft_axes(
+        self, tilts: np.ndarray, directions: np.ndarray, tips: np.ndarray | float = 0.0
+    ) -> np.ndarray:
+        """(n, 3) mm unit vectors from the burr towards the drill body.
+
+        `tilts` (n,) radians turn about the layer axis, `tips` out of the plane across it.
+        """
         tilts = np.asarray(tilts, dtype=float)
+        tips = np.broadcast_to(np.asarray(tips, dtype=float), tilts.shape)
         outward = -self.into_bone * directions[:, self.depth_axis]
-        lateral = directions[:, self.axes[2]]
-        return np.cos(tilts)[:, None] * outward + np.sin(tilts)[:, None] * lateral
+        layer, lateral = directions[:, self.axes[0]], directions[:, self.axes[2]]
+        in_plane = np.cos(tilts)[:, None] * outward + np.sin(tilts)[:, None] * lateral
+        return np.cos(tips)[:, None] * in_plane + np.sin(tips)[:, None] * layer
 
 
 def check_direction(approach: np.ndarray) -> np.ndarray:
@@ -163,8 +170,11 @@ def working_box(
     into_bone: int,
     drill: Drill,
     max_tilt: float,
+    cone: bool = False,
 ) -> tuple[np.ndarray, np.ndarray]:
     """The part of a volume that a burr in the target, or its shaft at any tilt allowed, can meet.
+
+    With `cone` the shaft tilts about both axes across the approach, else about the layer axis only.
 
     Returns
     -------
@@ -187,7 +197,8 @@ def working_box(
         high[depth] += outside
     low, high = np.maximum(low, 0), np.minimum(high, shape)
     rise = min(length, (high[depth] - low[depth]) * spacing[depth])
-    sideways = np.array([widest, rise * np.tan(max_tilt) + widest / np.cos(max_tilt)])
+    tilted = rise * np.tan(max_tilt) + widest / np.cos(max_tilt)
+    sideways = np.array([tilted if cone else widest, tilted])
     for axis, reach in zip((layer, lateral), sideways, strict=True):
         voxels = int(np.ceil(reach / spacing[axis])) + 3
         low[axis], high[axis] = low[axis] - voxels, high[axis] + voxels
@@ -201,10 +212,12 @@ def canonical_frame(
     padding: int,
     drill: Drill | None = None,
     max_tilt: float = np.pi / 4,
+    cone: bool = False,
 ) -> CanonicalFrame:
     """The frame for an approach direction in mm, snapped to the nearest grid axis.
 
-    With a drill only what it can meet while milling the target is kept (`working_box`), else all.
+    With a drill only what it can meet while milling the target is kept (`working_box`, which `cone` is
+    for), else all.
 
     Raises
     ------
@@ -222,7 +235,7 @@ def canonical_frame(
     low, high = np.zeros(3, int), np.array(volume.shape)
     if drill is not None:
         axes = (rotation_axis, depth_axis, 3 - rotation_axis - depth_axis)
-        low, high = working_box(volume.mask("target"), volume.spacing, axes, into_bone, drill, max_tilt)
+        low, high = working_box(volume.mask("target"), volume.spacing, axes, into_bone, drill, max_tilt, cone)
     return CanonicalFrame(
         shape=tuple(int(n) for n in volume.shape),
         spacing=tuple(float(s) for s in volume.spacing),

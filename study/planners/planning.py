@@ -11,18 +11,23 @@ import numpy as np
 from scipy import ndimage
 
 from study.collision import CanonicalFrame, Drill, build_shaft, canonical_frame, find_approach
+from study.collision.directions import build_free_space
 from study.collision.frame import check_direction, check_orthogonal
 from study.errors import IncompletePlanWarning, InputError, PlanningError, TargetUnreachableError
 from study.planners.fitness import compile_terms
 from study.planners.modified import ModifiedVolume, modified_volume
 from study.planners.plan import Plan
 from study.planners.settings import PlannerSettings
+from study.planners.pointing import _kernels as pointing
 from study.planners.simulation import _kernels as simulation
+from study.planners.simulation.state import _kernels as state
 from study.planners.strategies import _kernels as strategies
+from study.planners.tilting import _kernels as tilting
 from study.volumes import LabelVolume, ball_element
 from study.volumes.elements import element_rows
 
 STRATEGIES = ("3d", "zigzag")
+DEGREES_OF_FREEDOM = (4, 5)
 
 
 def supervoxel_reach(cutting_depth: float, spacing: np.ndarray) -> np.ndarray:
@@ -77,10 +82,15 @@ class _Canonical:
     """The volume in one canonical frame, with its initial accessibility pass done."""
 
     def __init__(
-        self, modified: ModifiedVolume, frame: CanonicalFrame, drill: Drill, settings: PlannerSettings
+        self,
+        modified: ModifiedVolume,
+        frame: CanonicalFrame,
+        drill: Drill,
+        settings: PlannerSettings,
+        dof: int,
     ):
         volume = modified.volume
-        self.frame = frame
+        self.frame, self.dof = frame, dof
         air, target = volume.mask("air"), volume.mask("target")
         self.solid = frame.canonical(np.where(air, 0, np.where(target, 2, 1)).astype(np.uint8))
         self.allowed = frame.canonical(modified.allowed)
@@ -92,31 +102,39 @@ class _Canonical:
         self.allowed[:, :, : low[2]] = self.allowed[:, :, high[2] :] = False
         max_tilt = np.deg2rad(settings.max_tilt_deg)
         self.min_window = np.deg2rad(settings.min_window_deg)
-        protected = (self.solid == 1).astype(np.uint8)
+        protected = (self.solid == state.PROTECTED).astype(np.uint8)
+        if dof == 5:
+            spacing = np.deg2rad(settings.direction_step_deg)
+            space = build_free_space(protected, frame.steps, drill, max_tilt, spacing)
+            self.dropped = pointing.drop_inaccessible(space, self.modified)
+            return
         self.shaft = build_shaft(protected, frame.steps, drill, max_tilt)
         # Half a window plus rounding, so that a window exactly as wide as the least one still counts.
         narrow = self.shaft._replace(max_tilt=min(max_tilt, self.min_window / 2 + 1e-12))
-        self.dropped = strategies.drop_inaccessible(self.shaft, narrow, self.modified, self.min_window)
+        self.dropped = tilting.drop_inaccessible(self.shaft, narrow, self.modified, self.min_window)
 
     def mean_window(self, sample: int = 400) -> float:
         """Mean width of the windows that protected bone leaves some of the targeted voxels, radians."""
         voxels = np.argwhere(self.modified)
         voxels = voxels[:: max(1, len(voxels) // sample)]
-        return strategies.total_width(self.shaft, voxels) / max(1, len(voxels))
+        return tilting.total_width(self.shaft, voxels) / max(1, len(voxels))
 
 
-def _choose_frame(modified, approach, drill, settings, padding) -> _Canonical:
-    """The canonical volume about the asked rotation axis, or about the better of the two."""
+def _choose_frame(modified, approach, drill, settings, padding, dof) -> _Canonical:
+    """The canonical volume about the asked rotation axis, or about the better of the two (4 DOF)."""
     along = np.abs(modified.volume.directions.T @ approach)
     across = [axis for axis in range(3) if axis != int(np.argmax(along))]
     asked = [settings.rotation_axis] if settings.rotation_axis >= 0 else across
+    if dof == 5:
+        asked = asked[:1]  # the cone looks the same from both
     max_tilt = np.deg2rad(settings.max_tilt_deg)
     options = [
         _Canonical(
             modified,
-            canonical_frame(modified.volume, approach, axis, padding, drill, max_tilt),
+            canonical_frame(modified.volume, approach, axis, padding, drill, max_tilt, cone=dof == 5),
             drill,
             settings,
+            dof,
         )
         for axis in asked
     ]
@@ -160,13 +178,9 @@ def _first_accessible(canonical: _Canonical, sim, settings: PlannerSettings) -> 
             f"none of the {canonical.dropped} burr positions in the target can be reached by the shaft past "
             f"protected bone within {settings.max_tilt_deg:g} degrees of the approach"
         )
-    limit = sim.shaft.max_tilt
     for part in _connected(canonical.modified, canonical.allowed):
         for start in _start_voxels(part, canonical.frame.steps):
-            free, _, _ = strategies.accessible_window(
-                sim.shaft, *start, -limit, limit, sim.min_window, sim.min_overlap
-            )
-            if free:
+            if strategies.can_start(sim, *start):
                 return start
     raise TargetUnreachableError(
         "no targeted voxel can be reached from outside past unmilled bone: expected a target open to the "
@@ -190,8 +204,9 @@ def plan_path(
         With labels ``air`` and ``target``; everything else is protected.
     strategy : {"3d", "zigzag"}
         The 3-D planner of section 2.3, or the 2.5-D zigzag of section 2.4.1.
-    dof : {4}
-        4: three translations and a tilt about one grid axis.
+    dof : {4, 5}
+        4: three translations and a tilt about one grid axis. 5: a tilt about either axis across the
+        approach, within a cone; see `PlannerSettings.method`.
     drill : Drill, optional
         `Drill()` by default.
     settings : PlannerSettings, optional
@@ -213,8 +228,8 @@ def plan_path(
     """
     if strategy not in STRATEGIES:
         raise InputError(f"strategy: expected one of {STRATEGIES}, got {strategy!r}")
-    if dof != 4:
-        raise InputError(f"dof: expected 4, got {dof!r}")
+    if dof not in DEGREES_OF_FREEDOM or isinstance(dof, bool):
+        raise InputError(f"dof: expected one of {DEGREES_OF_FREEDOM}, got {dof!r}")
     drill = Drill() if drill is None else drill
     settings = PlannerSettings() if settings is None else settings
     clock = time.perf_counter()
@@ -235,7 +250,7 @@ def plan_path(
     reach_burr = np.floor(drill.burr_radius / volume.spacing + 0.5).astype(int) + 1
     reach_super = supervoxel_reach(settings.cutting_depth, volume.spacing)
     padding = int(max(reach_burr.max(), 2 * reach_super.max() + 2))
-    canonical = _choose_frame(modified, approach, drill, settings, padding)
+    canonical = _choose_frame(modified, approach, drill, settings, padding, dof)
     frame = canonical.frame
     sim, accessible = _build(canonical, drill, settings)
     search = _search_arrays(sim.solid.size)
@@ -252,20 +267,20 @@ def plan_path(
         row_pitch = settings.row_pitch or int(across + 1)
         layer_pitch = settings.layer_pitch or int(sim.reach[1] + 1)
         strategies.run_zigzag(sim, search, start, targeted, row_axis, row_pitch, layer_pitch)
-    if sim.counters[simulation.FULL]:
+    if sim.counters[state.FULL]:
         raise PlanningError(
             f"the plan exceeds {len(sim.path)} positions for {np.count_nonzero(accessible)} targeted voxels"
         )
     elapsed = time.perf_counter() - clock
 
-    rows = sim.path[: sim.counters[simulation.ROWS]]
+    rows = sim.path[: sim.counters[state.ROWS]]
     labels = volume.labels.copy()
     solid = frame.original(sim.solid)
     labels[volume.mask("target") & (solid == 0)] = volume.names["air"]
     plan = Plan(
         points=volume.points(frame.to_indices(rows[:, :3])),
-        axes=frame.shaft_axes(rows[:, 3], volume.directions),
-        removed=rows[:, 4] * volume.voxel_volume,
+        axes=frame.shaft_axes(rows[:, 3], volume.directions, rows[:, 4]),
+        removed=rows[:, 5] * volume.voxel_volume,
         strategy=strategy,
         dof=dof,
         approach=frame.into_bone * volume.directions[:, frame.depth_axis],
@@ -306,8 +321,8 @@ def _build(canonical: _Canonical, drill: Drill, settings: PlannerSettings):
     simulation.count_top(canonical.solid, top_rows, labels, top)
     n_targeted = int(np.count_nonzero(labels))
     random = np.random.default_rng(settings.seed).integers(0, 2**32, 1 << 16, dtype=np.uint32)
-    shaft = build_shaft(canonical.solid, steps, drill, np.deg2rad(settings.max_tilt_deg))
-    sim = simulation.Simulation(
+    shaft = _shaft(canonical, drill, settings)
+    sim = state.Simulation(
         solid=canonical.solid,
         modified=labels.copy(),
         allowed=canonical.allowed,
@@ -324,13 +339,31 @@ def _build(canonical: _Canonical, drill: Drill, settings: PlannerSettings):
         shaft=shaft,
         min_window=canonical.min_window,
         min_overlap=float(np.deg2rad(settings.min_overlap_deg)),
-        known=np.zeros((*shape, 2), np.float32),
-        path=np.empty((40 * n_targeted + 20000, 5)),
+        known=np.zeros((*shape, 3)),
+        path=np.empty((40 * n_targeted + 20000, 6)),
         counters=np.array([0, n_targeted, 0, 0], dtype=np.int64),
         left_at_depth=np.count_nonzero(labels, axis=(0, 2)).astype(np.int64),
         random=random,
     )
     return sim, frame.original(labels) != 0
+
+
+def _shaft(canonical: _Canonical, drill: Drill, settings: PlannerSettings):
+    """What bars the shaft at the start: collapsed slabs for 4 degrees of freedom, free space for 5."""
+    steps, max_tilt = canonical.frame.steps, np.deg2rad(settings.max_tilt_deg)
+    if canonical.dof == 4:
+        return build_shaft(canonical.solid, steps, drill, max_tilt)
+    half = np.deg2rad(settings.window_half_deg)
+    return pointing.Pointing(
+        space=build_free_space(
+            canonical.solid, steps, drill, max_tilt, np.deg2rad(settings.direction_step_deg)
+        ),
+        max_rotation=float(np.deg2rad(settings.max_rotation_deg)),
+        published=settings.method == "published",
+        offsets=np.linspace(-half, half, settings.window_samples),
+        least_free=int(np.ceil(settings.free_share * settings.window_samples**2)),
+        least_gain=float(settings.least_incidence_gain),
+    )
 
 
 def _search_arrays(size: int):

@@ -9,6 +9,9 @@ import numpy as np
 from study.errors import InputError
 
 
+METHODS = ("exact", "published")
+
+
 @dataclass(frozen=True)
 class FitnessWeights:
     """Weights of the five terms of the fitness metric (2.4.1: F = (1) + (2) + 10 (3) + 5 (4) + (5))."""
@@ -38,16 +41,35 @@ class PlannerSettings:
     terms : tuple of study.planners.FitnessTerm
         Further terms of the fitness, added to the five.
     max_tilt_deg : float
-        Largest angle between shaft and approach axis for 4 DOF. Not printed; 45 degrees.
+        Largest angle between shaft and approach axis: to both sides for 4 DOF, the cone's half angle for
+        5. Not printed; 45 degrees.
     min_window_deg : float
-        Smallest range of accessible angles of a voxel (2.3.3, not printed; 5 degrees).
+        4 DOF only. Smallest range of accessible angles of a voxel (2.3.3, not printed; 5 degrees).
     min_overlap_deg : float
-        Smallest overlap of a voxel's range with the current one (2.3.3, not printed; 2 degrees.
+        4 DOF only. Smallest overlap of a voxel's range with the current one (2.3.3, not printed; 2 degrees.
         10 degrees of overlap left 65 voxels behind on a real bone).
     row_pitch, layer_pitch : int
         Zigzag only: voxels between rows and between layers. Not printed, and decisive for the length.
         0 takes the supervoxel's reach and one more, the farthest the 3-D planner itself steps, so that
         both planners take the same depth of cut; rows up to the supervoxel's size apart leave no residue.
+    method : {"exact", "published"}
+        5 DOF only. ``"exact"`` searches all directions of the robot's cone: the shaft keeps its direction
+        while that is free, else it turns, by a verified way, to the nearest direction that is; and it
+        turns towards cutting with the burr's equator where that gains enough. ``"published"`` looks only
+        at a window of 18 x 18 directions around the present one and asks that a share of them be free
+        (2.3.3, 2.5.1); the one nearest to the middle of the free ones is taken, by a verified turn.
+    max_rotation_deg : float
+        5 DOF only. Largest turn of the shaft between consecutive points of the path.
+    direction_step_deg : float
+        5 DOF, exact: degrees between the directions by which the cone is searched.
+    least_incidence_gain : float
+        5 DOF, exact: by how much the sine of the incidence angle (between shaft and the bone about to be
+        cut: 1 cuts with the equator, 0 with the pole) must be short of 1, and grow by a turn, for a turn
+        that only serves the cut. 1 never turns for that.
+    window_half_deg, window_samples, free_share : float, int, float
+        5 DOF, published: half width of the window (2.5 degrees), directions along each side (18), and
+        the share that must be free (not printed; a tenth, 33 of 324: between 1 and 162 the path's length
+        changed by less than 1 % in a prototype).
     rotation_axis : int
         Grid axis about which the 4-DOF robot tilts the drill; -1 chooses the one of the two axes
         across the approach that reaches more of the target (then the one with the wider windows).
@@ -70,6 +92,13 @@ class PlannerSettings:
     max_tilt_deg: float = 45.0
     min_window_deg: float = 5.0
     min_overlap_deg: float = 2.0
+    method: str = "exact"
+    max_rotation_deg: float = 5.0
+    direction_step_deg: float = 2.5
+    least_incidence_gain: float = 0.1
+    window_half_deg: float = 2.5
+    window_samples: int = 18
+    free_share: float = 0.1
     row_pitch: int = 0
     layer_pitch: int = 0
     rotation_axis: int = -1
@@ -87,7 +116,9 @@ class PlannerSettings:
             return isinstance(value, int | np.integer) and not isinstance(value, bool)
 
         require(bool(np.isfinite(self.weights.as_array()).all()), "weights", "five finite numbers")
-        for name in ("row_pitch", "layer_pitch", "rotation_axis", "boundary_connectivity", "seed"):
+        for name in (
+            "row_pitch", "layer_pitch", "rotation_axis", "boundary_connectivity", "seed", "window_samples",
+        ):  # fmt: skip
             require(whole(name), name, "a whole number")
         require(np.isfinite(self.cutting_depth) and self.cutting_depth > 0, "cutting_depth", "mm above 0")
         require(0 < self.max_tilt_deg <= 80, "max_tilt_deg", "degrees above 0 and at most 80")
@@ -95,6 +126,13 @@ class PlannerSettings:
             0 <= self.min_window_deg <= 2 * self.max_tilt_deg, "min_window_deg", "0 to twice max_tilt_deg"
         )
         require(0 <= self.min_overlap_deg <= self.min_window_deg, "min_overlap_deg", "0 to min_window_deg")
+        require(self.method in METHODS, "method", f"one of {METHODS}")
+        require(0.5 <= self.max_rotation_deg <= 45, "max_rotation_deg", "degrees from 0.5 to 45")
+        require(0.5 <= self.direction_step_deg <= 15, "direction_step_deg", "degrees from 0.5 to 15")
+        require(0 < self.least_incidence_gain <= 1, "least_incidence_gain", "above 0 and at most 1")
+        require(0 < self.window_half_deg <= 15, "window_half_deg", "degrees above 0 and at most 15")
+        require(2 <= self.window_samples <= 64, "window_samples", "2 to 64")
+        require(0 < self.free_share <= 1, "free_share", "above 0 and at most 1")
         require(self.row_pitch >= 0, "row_pitch", "voxels, 0 for the supervoxel's reach and one more")
         require(self.layer_pitch >= 0, "layer_pitch", "voxels, 0 for the supervoxel's reach and one more")
         require(self.rotation_axis in (-1, 0, 1, 2), "rotation_axis", "0, 1, 2 or -1 to choose")

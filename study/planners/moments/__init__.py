@@ -113,7 +113,7 @@ def moment(plan: Plan, row: int) -> Moment:
     reach_burr = np.floor(drill.burr_radius / volume.spacing + 0.5).astype(int) + 1
     reach = supervoxel_reach(settings.cutting_depth, volume.spacing)
     padding = int(max(reach_burr.max(), 2 * reach.max() + 2))
-    canonical = _choose_frame(plan.modified, plan.approach, drill, settings, padding)
+    canonical = _choose_frame(plan.modified, plan.approach, drill, settings, padding, plan.dof)
     frame = canonical.frame
     sim, _ = _build(canonical, drill, settings)
     before = sim.modified.copy()
@@ -132,7 +132,7 @@ def moment(plan: Plan, row: int) -> Moment:
     points = volume.points(frame.to_indices(sim.path[:rows, :3]))
     if not np.allclose(points, plan.points[:rows], atol=1e-6):
         raise InputError("moment: the plan is not what its volume and settings give; was it edited?")
-    limit = (burr[4], burr[5], sim.min_window, sim.min_overlap)
+    limit = (burr[5], burr[6], sim.min_window, sim.min_overlap)
     free = np.array([accessible_window(sim.shaft, *voxel, *limit)[0] for voxel in candidates], dtype=bool)
     where = volume.points(frame.to_indices(candidates)) if len(candidates) else np.empty((0, 3))
     return Moment(
@@ -140,7 +140,7 @@ def moment(plan: Plan, row: int) -> Moment:
         position=points[-1],
         axis=frame.shaft_axes(burr[3:4], volume.directions)[0],
         tilt=float(burr[3]),
-        window=(float(burr[4]), float(burr[5])),
+        window=(float(burr[5]), float(burr[6])),
         unmodified=_unmodified(volume, frame.original(sim.solid)),
         modified=_modified(plan, frame.original(before), frame.original(sim.modified)),
         candidates=where[free],

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from study._compiled import kernel
-from study.planners.simulation._kernels import LEFT, ROWS
+from study.planners.simulation.state._kernels import LEFT, ROWS
 from study.planners.strategies._kernels import begin, candidate_arrays, decide, rank_candidates
 
 
@@ -16,7 +16,7 @@ def run_until(sim, search, start, weights, terms, rows, arrivals):
     `arrivals` is filled with the number of rows after each decision. Returns the burr's pose, the
     heading, the number of decisions, and the candidates with their scores.
     """
-    burr = np.zeros(6)
+    burr = np.zeros(7)
     heading = np.zeros(2)
     candidates, scores = candidate_arrays(sim)
     begin(sim, burr, start)

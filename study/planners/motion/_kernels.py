@@ -1,6 +1,7 @@
 """Compiled motion of the burr: turning, stepping, the simple objective planner, relocation, the way home.
 
-The burr's pose is a float64 array: layer, depth, lateral, tilt, low and high end of its window.
+The burr's pose is a float64 array: layer, depth, lateral, tilt, tip, and its window; what a window is
+the robot's freedom says (`study.planners.freedom`).
 """
 
 from __future__ import annotations
@@ -8,88 +9,66 @@ from __future__ import annotations
 import numpy as np
 
 from study._compiled import inner
-from study.collision._kernels import accessible_window, pose_is_free
-from study.planners.simulation._kernels import (
-    clear_supervoxel,
-    draw,
-    mill_ball,
-    mill_sweep,
-    record,
-    sweep_is_safe,
+from study.planners.freedom._kernels import (
+    keep_up,
+    passing,
+    position_is_free,
+    search_window,
+    turn,
+    window_from,
 )
+from study.planners.simulation._kernels import clear_supervoxel, mill_ball, mill_sweep, sweep_is_safe
+from study.planners.simulation.state._kernels import draw, record
 
 NEIGHBOURS = np.array([[0, -1, 0], [-1, 0, 0], [1, 0, 0], [0, 0, -1], [0, 0, 1], [0, 1, 0]], dtype=np.int64)
 ANY_TARGET, ONE_VOXEL, SLICE, WITHIN_SLICE = 0, 1, 2, 3  # what a search looks for
 
 
 @inner
-def window_from(sim, low, high, layer, depth, lateral):
-    """Window of accessible angles of a voxel, as seen from a neighbour with the window [low, high]."""
-    return accessible_window(sim.shaft, layer, depth, lateral, low, high, sim.min_window, sim.min_overlap)
-
-
-@inner
-def tilt_between(tilt, low, high, next_low, next_high):
-    """Tilt at which to pass from one window to the next: the present one if it may stay."""
-    a, z = max(low, next_low), min(high, next_high)
-    if a <= tilt <= z:
-        return tilt
-    margin = min(0.0175, (z - a) / 4)  # not on the very edge: 1 degree, or a quarter of a narrow overlap
-    return min(max(tilt, a + margin), z - margin)
-
-
-@inner
-def turn(sim, burr, tilt):
-    """Tilt the shaft in place."""
-    if tilt != burr[3]:
-        burr[3] = tilt
-        record(sim, burr[0], burr[1], burr[2], tilt, 0)
-
-
-@inner
-def remember(sim, layer, depth, lateral, low, high):
-    """Keep a window for later searches: bone only disappears, so it stays free."""
-    sim.known[layer, depth, lateral, 0] = np.float32(low + 1e-6)  # rounded inwards
-    sim.known[layer, depth, lateral, 1] = np.float32(high - 1e-6)
-
-
-@inner
-def arrive(sim, burr, layer, depth, lateral, low, high):
-    """Book-keeping at a voxel the burr has just reached with the window [low, high]."""
+def arrive(sim, burr, layer, depth, lateral, a, b):
+    """Book-keeping at a voxel the burr has just reached with the window (a, b)."""
     clear_supervoxel(sim, layer, depth, lateral)
-    burr[0], burr[1], burr[2], burr[4], burr[5] = layer, depth, lateral, low, high
-    remember(sim, layer, depth, lateral, low, high)
+    burr[0], burr[1], burr[2], burr[5], burr[6] = layer, depth, lateral, a, b
+    known = sim.known[layer, depth, lateral]
+    known[0], known[1], known[2] = a, b, 1.0
+    keep_up(sim)
 
 
 @inner
-def step_to(sim, burr, layer, depth, lateral, low, high):
+def step_to(sim, burr, layer, depth, lateral, a, b):
     """Move to a voxel that shares a face with the present one."""
-    turn(sim, burr, tilt_between(burr[3], burr[4], burr[5], low, high))
+    tilt, tip = passing(sim, burr, a, b)
+    turn(sim, burr, tilt, tip)
     removed = mill_ball(sim, layer, depth, lateral)
-    record(sim, float(layer), float(depth), float(lateral), burr[3], removed)
-    arrive(sim, burr, layer, depth, lateral, low, high)
+    record(sim, float(layer), float(depth), float(lateral), burr[3], burr[4], removed)
+    arrive(sim, burr, layer, depth, lateral, a, b)
 
 
 @inner
-def direct_step(sim, burr, layer, depth, lateral, low, high):
+def direct_step(sim, burr, layer, depth, lateral, a, b):
     """Move straight to a voxel up to reach + 1 away, checking every part on the way; False if barred."""
     l0, d0, b0 = int(burr[0]), int(burr[1]), int(burr[2])
     move = np.array([layer - l0, depth - d0, lateral - b0])
     parts = max(abs(move[0]), abs(move[1]), abs(move[2]))
-    tilt = tilt_between(burr[3], burr[4], burr[5], low, high)
+    tilt, tip = passing(sim, burr, a, b)
     if not sweep_is_safe(sim, l0, d0, b0, move):
         return False
     for part in range(1, parts):
         f = part / parts
-        if not pose_is_free(sim.shaft, l0 + f * move[0], d0 + f * move[1], b0 + f * move[2], tilt):
+        if not position_is_free(sim, l0 + f * move[0], d0 + f * move[1], b0 + f * move[2], tilt, tip):
             return False
-    turn(sim, burr, tilt)
+    turn(sim, burr, tilt, tip)
     for part in range(1, parts + 1):
         f = part / parts
         removed = mill_sweep(sim, l0, d0, b0, move, part)
-        record(sim, l0 + f * move[0], d0 + f * move[1], b0 + f * move[2], tilt, removed)
-    arrive(sim, burr, layer, depth, lateral, low, high)
+        record(sim, l0 + f * move[0], d0 + f * move[1], b0 + f * move[2], burr[3], burr[4], removed)
+    arrive(sim, burr, layer, depth, lateral, a, b)
     return True
+
+
+@inner
+def _on_trail(start, sign, steps):
+    return start[0] + sign[0] * steps[0], start[1] + sign[1] * steps[1], start[2] + sign[2] * steps[2]
 
 
 @inner
@@ -113,7 +92,7 @@ def short_path(sim, burr, layer, depth, lateral):
     trail = np.zeros((length + 1, 3), np.int64)
     low = np.zeros(length + 1)
     high = np.zeros(length + 1)
-    low[0], high[0] = burr[4], burr[5]
+    low[0], high[0] = burr[5], burr[6]
     n = 0
     order = np.array([0, 1, 2])
     while n < length:
@@ -132,7 +111,8 @@ def short_path(sim, burr, layer, depth, lateral):
                 continue
             i, j, o = start[0] + sign[0] * a, start[1] + sign[1] * b, start[2] + sign[2] * c
             if sim.allowed[i, j, o]:
-                free, narrow, wide = window_from(sim, low[n], high[n], i, j, o)
+                u, v, w = _on_trail(start, sign, trail[n])
+                free, narrow, wide = window_from(sim, low[n], high[n], u, v, w, i, j, o)
                 if free:
                     low[n + 1], high[n + 1] = narrow, wide
                     advanced = True
@@ -146,8 +126,7 @@ def short_path(sim, burr, layer, depth, lateral):
             dead[trail[n, 0], trail[n, 1], trail[n, 2]] = True
             n -= 1
     for k in range(1, length + 1):
-        i, j, o = (start[0] + sign[0] * trail[k, 0], start[1] + sign[1] * trail[k, 1],
-                   start[2] + sign[2] * trail[k, 2])  # fmt: skip
+        i, j, o = _on_trail(start, sign, trail[k])
         step_to(sim, burr, i, j, o, low[k], high[k])
     return True
 
@@ -170,7 +149,7 @@ def find_way(sim, search, burr, goal):
     plane = n_depth * n_lateral
     here = (int(burr[0]) * n_depth + int(burr[1])) * n_lateral + int(burr[2])
     stamp[here], came[here] = mark, -1
-    lows[here], highs[here] = burr[4], burr[5]
+    lows[here], highs[here] = burr[5], burr[6]
     queue[0] = here
     head, tail = 0, 1
     while head < tail:
@@ -194,13 +173,7 @@ def find_way(sim, search, burr, goal):
             other = (i * n_depth + j) * n_lateral + k
             if found != (look < 6) or stamp[other] == mark:
                 continue
-            low, high = lows[flat], highs[flat]
-            a, z = np.float64(sim.known[i, j, k, 0]), np.float64(sim.known[i, j, k, 1])
-            free = z > a and z - a >= sim.min_window and min(z, high) - max(a, low) >= sim.min_overlap
-            if not free:
-                free, a, z = window_from(sim, low, high, i, j, k)
-                if free:
-                    remember(sim, i, j, k, a, z)
+            free, a, z = search_window(sim, lows[flat], highs[flat], layer, depth, lateral, i, j, k)
             if not free:
                 continue
             stamp[other], came[other], lows[other], highs[other] = mark, n, a, z

@@ -8,7 +8,7 @@ import numba as nb
 import numpy as np
 
 from study._compiled import inner, kernel
-from study.collision._kernels import accessible_window
+from study.planners.freedom._kernels import best_for_cut, passing, start_window, turn, window_around, window_from
 from study.planners.motion._kernels import (
     ANY_TARGET,
     ONE_VOXEL,
@@ -20,10 +20,9 @@ from study.planners.motion._kernels import (
     go,
     short_path,
     step_to,
-    turn,
-    window_from,
 )
-from study.planners.simulation._kernels import BOUNDARY, FULL, LEFT, ROWS, mill_ball, record
+from study.planners.simulation._kernels import mill_ball
+from study.planners.simulation.state._kernels import BOUNDARY, FULL, LEFT, ROWS, record
 
 TERM = nb.types.float64(
     nb.types.float64, nb.types.float64, nb.types.float64, nb.types.float64, nb.types.float64
@@ -120,27 +119,34 @@ def rank_candidates(sim, burr, heading, weights, terms, candidates, scores):
 @inner
 def take_step(sim, burr, layer, depth, lateral):
     """Move to a candidate if it is accessible: straight, or by a short path where it is crowded (2.3)."""
-    free, low, high = window_from(sim, burr[4], burr[5], layer, depth, lateral)
+    i, j, k = int(burr[0]), int(burr[1]), int(burr[2])
+    free, a, b = window_from(sim, burr[5], burr[6], i, j, k, layer, depth, lateral)
     if not free:
         return False
-    if not sim.crowded[int(burr[0]), int(burr[1]), int(burr[2])] and direct_step(
-        sim, burr, layer, depth, lateral, low, high
-    ):
-        return True
+    if not sim.crowded[i, j, k]:
+        a, b = best_for_cut(sim, burr, a, b, layer, depth, lateral)
+        if direct_step(sim, burr, layer, depth, lateral, a, b):
+            return True
     return short_path(sim, burr, layer, depth, lateral)
+
+
+@kernel
+def can_start(sim, layer, depth, lateral):
+    """Whether a voxel can be reached out of the air."""
+    return start_window(sim, layer, depth, lateral)[0]
 
 
 @inner
 def begin(sim, burr, start):
     """Stand at the start voxel; False if it is not accessible."""
-    limit = sim.shaft.max_tilt
-    free, low, high = window_from(sim, -limit, limit, start[0], start[1], start[2])
+    free, a, b = start_window(sim, start[0], start[1], start[2])
     if not free:
         return False
-    burr[3] = min(max(0.0, low), high)
+    burr[3], burr[4], burr[5], burr[6] = 0.0, 0.0, a, b
+    burr[3], burr[4] = passing(sim, burr, a, b)
     removed = mill_ball(sim, start[0], start[1], start[2])
-    record(sim, float(start[0]), float(start[1]), float(start[2]), burr[3], removed)
-    arrive(sim, burr, start[0], start[1], start[2], low, high)
+    record(sim, float(start[0]), float(start[1]), float(start[2]), burr[3], burr[4], removed)
+    arrive(sim, burr, start[0], start[1], start[2], a, b)
     return True
 
 
@@ -150,23 +156,23 @@ def _walk_back(sim, burr, rows, to):
     for row in range(rows - 1, to - 1, -1):
         here = sim.path[row]
         if here[0] == burr[0] and here[1] == burr[1] and here[2] == burr[2]:
-            turn(sim, burr, here[3])
+            turn(sim, burr, here[3], here[4])
         else:
-            record(sim, here[0], here[1], here[2], burr[3], 0)
+            record(sim, here[0], here[1], here[2], burr[3], burr[4], 0)
             burr[0], burr[1], burr[2] = here[0], here[1], here[2]
-            turn(sim, burr, here[3])
+            turn(sim, burr, here[3], here[4])
 
 
 @inner
 def _stand_at(sim, row, pose):
     """Fill `pose` with a row of the path and the window around its tilt; False between voxels."""
-    for n in range(4):
+    for n in range(5):
         pose[n] = sim.path[row, n]
     i, j, k = int(pose[0]), int(pose[1]), int(pose[2])
     if i != pose[0] or j != pose[1] or k != pose[2]:
         return False
-    free, pose[4], pose[5] = accessible_window(sim.shaft, i, j, k, pose[3] - 1e-9, pose[3] + 1e-9, 0.0, 0.0)
-    return free and pose[4] <= pose[3] <= pose[5]
+    free, pose[5], pose[6] = window_around(sim, pose[3], pose[4], i, j, k)
+    return free
 
 
 @inner
@@ -179,7 +185,7 @@ def relocate(sim, search, burr, goal):
     if go(sim, search, burr, goal):
         return True
     rows = sim.counters[ROWS]
-    pose = np.empty(6)
+    pose = np.empty(7)
     back = 1
     while True:
         row = max(0, rows - 1 - back)
@@ -187,7 +193,7 @@ def relocate(sim, search, burr, goal):
             row -= 1
         if _stand_at(sim, row, pose) and find_way(sim, search, pose, goal) >= 0:
             _walk_back(sim, burr, rows, row)
-            for n in range(6):
+            for n in range(7):
                 burr[n] = pose[n]
             return go(sim, search, burr, goal)
         if row == 0:
@@ -238,7 +244,7 @@ def decide(sim, search, burr, heading, weights, terms, candidates, scores):
 @kernel
 def run_3d(sim, search, start, weights, terms):
     """Mill by fitness until no target voxel can be reached, then go home."""
-    burr = np.zeros(6)
+    burr = np.zeros(7)
     if not begin(sim, burr, start):
         return False
     heading = np.zeros(2)
@@ -272,9 +278,11 @@ def _visit(sim, search, burr, i, j, k):
     if burr[0] == i and burr[1] == j and burr[2] == k:
         return True
     if _adjacent(burr, i, j, k):
-        free, low, high = window_from(sim, burr[4], burr[5], i, j, k)
+        free, a, b = window_from(
+            sim, burr[5], burr[6], int(burr[0]), int(burr[1]), int(burr[2]), i, j, k
+        )
         if free:
-            step_to(sim, burr, i, j, k, low, high)
+            step_to(sim, burr, i, j, k, a, b)
             return True
     return go(sim, search, burr, np.array([ONE_VOXEL, i, j, k]))
 
@@ -328,7 +336,7 @@ def _zigzag_layer(sim, search, burr, targeted, depth, row_axis, row_pitch):
 @kernel
 def run_zigzag(sim, search, start, targeted, row_axis, row_pitch, layer_pitch):
     """Layer by layer: rows, then a circuit around what is left at each slice's rim; pockets last."""
-    burr = np.zeros(6)
+    burr = np.zeros(7)
     if not begin(sim, burr, start):
         return False
     anything = np.array([ANY_TARGET, 0, 0, 0])
@@ -355,38 +363,3 @@ def run_zigzag(sim, search, start, targeted, row_axis, row_pitch, layer_pitch):
             break
     return_home(sim, search, burr, start)
     return True
-
-
-@kernel
-def drop_inaccessible(shaft, narrow, modified, min_width):
-    """Initial accessibility pass (2.3.1): drop targeted voxels that protected bone alone walls off.
-
-    `narrow` is the same shaft with its tilt limited to half of `min_width`: a quick look straight out
-    settles most voxels. Returns how many were dropped.
-    """
-    dropped = 0
-    tilt, slight = shaft.max_tilt, narrow.max_tilt
-    for i in range(modified.shape[0]):
-        for j in range(modified.shape[1]):
-            for k in range(modified.shape[2]):
-                if modified[i, j, k] == 0:
-                    continue
-                if accessible_window(narrow, i, j, k, -slight, slight, min_width, min_width)[0]:
-                    continue
-                if not accessible_window(shaft, i, j, k, -tilt, tilt, min_width, min_width)[0]:
-                    modified[i, j, k] = 0
-                    dropped += 1
-    return dropped
-
-
-@kernel
-def total_width(shaft, voxels):
-    """Summed width in radians of the widest window of some voxels."""
-    total = 0.0
-    for n in range(voxels.shape[0]):
-        free, low, high = accessible_window(
-            shaft, voxels[n, 0], voxels[n, 1], voxels[n, 2], -shaft.max_tilt, shaft.max_tilt, 0.0, 0.0
-        )
-        if free:
-            total += high - low
-    return total

@@ -1,0 +1,6 @@
+"""5-DOF accessibility (2.2.3): is the shaft free from a direction, from which directions, between directions."""
+
+from study.collision.directions.check import DirectionCheck
+from study.collision.directions.space import build_free_space, cone_of_directions
+
+__all__ = ["DirectionCheck", "build_free_space", "cone_of_directions"]
