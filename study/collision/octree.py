@@ -12,6 +12,7 @@ import coal
 import numpy as np
 
 from study.collision.drill import Drill
+from study.collision.exact._kernels import cylinder_overlaps_box
 from study.errors import GeometryError, InputError
 
 #: Voxels: a gap up to this counts as contact, which makes up for GJK's rounding (see `OctreeCheck`).
@@ -250,6 +251,38 @@ class OctreeCheck:
         nodes = np.unique(self._leaves() >> level, axis=0)
         centres = (nodes * size + (size - 1) / 2) * self.voxel
         return np.column_stack([centres, np.full(len(nodes), size * self.voxel)])
+
+    def met(self, position: np.ndarray, axis: np.ndarray) -> list[np.ndarray]:
+        """The boxes that the shaft at a pose overlaps, level by level: what a check looks into.
+
+        Parameters
+        ----------
+        position, axis : (3,) arrays
+            As for `is_free`.
+
+        Returns
+        -------
+        list of (n, 4) arrays
+            Like `boxes`, from the voxels to the box around everything. The first is empty if the pose
+            is free.
+        """
+        position, axis = np.asarray(position, float), np.asarray(axis, float)
+        out: list[np.ndarray] = []
+        boxes = self.boxes(self.levels - 1)
+        for level in reversed(range(self.levels)):
+            corners = boxes[:, None, :3] + np.array([[-0.5], [0.5]]) * boxes[:, None, 3:]
+            met = [
+                any(cylinder_overlaps_box(position, axis, *part, low, high) for part in self.cylinders)
+                for low, high in corners
+            ]
+            out.insert(0, boxes[np.array(met, bool)])
+            if level:
+                boxes = self.boxes(level - 1)
+                inside = [
+                    (np.abs(box[:3] - out[0][:, :3]) < out[0][:, 3:] / 2).all(axis=1).any() for box in boxes
+                ]
+                boxes = boxes[np.array(inside, bool)]
+        return out
 
     def _leaves(self) -> np.ndarray:
         """(n, 3) indices of the octree's leaves, read back from it."""

@@ -25,6 +25,7 @@ from study.collision.exact._kernels import cylinder_overlaps_box
 
 UNIT = 0.1  # mm of the distance field's numbers
 MOST = 255
+LOOSEST = 0.3  # mm that a cone may widen the shaft by where voxels are looked up one by one
 WITNESSES = 64  # voxels compared for the one that blocks most
 REMOVED, REFRESHED = 0, 1  # entries of `counts`
 
@@ -329,7 +330,11 @@ def _ray_is_free(space, at, u, hit):
     t = space.burr_radius + 0.5 * (steps[0] + steps[1] + steps[2])  # clear of the voxels the burr overlaps
     while t < space.cylinders[2, 2]:
         x, y, z = at[0] + u[0] * t, at[1] + u[1] * t, at[2] + u[2] * t
-        i, j, k = int(floor(x / steps[0] + 0.5)), int(floor(y / steps[1] + 0.5)), int(floor(z / steps[2] + 0.5))
+        i, j, k = (
+            int(floor(x / steps[0] + 0.5)),
+            int(floor(y / steps[1] + 0.5)),
+            int(floor(z / steps[2] + 0.5)),
+        )
         if not (0 <= i < shape[0] and 0 <= j < shape[1] and 0 <= k < shape[2]):
             return True
         if space.bits[i, j, k >> 6] >> np.uint64(k & 63) & ONE != 0:
@@ -357,7 +362,11 @@ def shaft_is_free(space, layer, depth, lateral, u0, u1, u2, spread, more, hit):
         end_all = end if spread == 0.0 else end + spread * radius
         while t < end_all:
             x, y, z = at[0] + u[0] * t, at[1] + u[1] * t, at[2] + u[2] * t
-            i, j, k = int(floor(x / steps[0] + 0.5)), int(floor(y / steps[1] + 0.5)), int(floor(z / steps[2] + 0.5))
+            i, j, k = (
+                int(floor(x / steps[0] + 0.5)),
+                int(floor(y / steps[1] + 0.5)),
+                int(floor(z / steps[2] + 0.5)),
+            )
             outside = 0.0
             leaving = False
             if not (0 <= i < shape[0] and 0 <= j < shape[1] and 0 <= k < shape[2]):
@@ -369,7 +378,11 @@ def shaft_is_free(space, layer, depth, lateral, u0, u1, u2, spread, more, hit):
                 outside = gone_x * gone_x + gone_y * gone_y + gone_z * gone_z
                 leaving = gone_x * u[0] >= 0 and gone_y * u[1] >= 0 and gone_z * u[2] >= 0
                 x, y, z = inner_x, inner_y, inner_z
-                i, j, k = min(max(i, 0), shape[0] - 1), min(max(j, 0), shape[1] - 1), min(max(k, 0), shape[2] - 1)
+                i, j, k = (
+                    min(max(i, 0), shape[0] - 1),
+                    min(max(j, 0), shape[1] - 1),
+                    min(max(k, 0), shape[2] - 1),
+                )
             x, y, z = x - i * steps[0], y - j * steps[1], z - k * steps[2]
             rho = max(0.0, space.distance[i, j, k] * UNIT - sqrt(x * x + y * y + z * z))
             if outside > 0.0:
@@ -386,6 +399,8 @@ def shaft_is_free(space, layer, depth, lateral, u0, u1, u2, spread, more, hit):
             if step < 0.25:
                 until = min(t + 2.0, end_all)
                 play = spread * (until + radius)
+                if play > LOOSEST:
+                    return False  # so wide a cone is cheaper looked at in parts
                 if not _piece_is_free(
                     space, at, u, radius + play, start - play, end + play, t - play, until + play, more, hit
                 ):

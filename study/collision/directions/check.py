@@ -59,7 +59,9 @@ class DirectionCheck:
             raise InputError(f"axes: expected (n, 3) finite unit vectors, got shape {axes.shape}")
         lengths = np.linalg.norm(axes, axis=1)
         if np.abs(lengths - 1).max(initial=0.0) > 1e-6:
-            raise InputError(f"axes: expected unit vectors, got lengths {lengths.min():g} to {lengths.max():g}")
+            raise InputError(
+                f"axes: expected unit vectors, got lengths {lengths.min():g} to {lengths.max():g}"
+            )
         return np.ascontiguousarray(axes / lengths[:, None])
 
     def is_free(self, position: np.ndarray, axis: np.ndarray) -> bool:

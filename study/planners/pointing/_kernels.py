@@ -226,7 +226,11 @@ def best_for_cut(sim, burr, a, b, layer, depth, lateral):
     if 1.0 - here < sim.shaft.least_gain:
         return a, b
     side = -1.0 if along > 0.0 else 1.0
-    w0, w1, w2 = side * (bone[0] - along * u[0]), side * (bone[1] - along * u[1]), side * (bone[2] - along * u[2])
+    w0, w1, w2 = (
+        side * (bone[0] - along * u[0]),
+        side * (bone[1] - along * u[1]),
+        side * (bone[2] - along * u[2]),
+    )
     length = sqrt(w0 * w0 + w1 * w1 + w2 * w2)
     if length < 1e-9:
         return a, b

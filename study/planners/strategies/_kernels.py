@@ -8,7 +8,14 @@ import numba as nb
 import numpy as np
 
 from study._compiled import inner, kernel
-from study.planners.freedom._kernels import best_for_cut, passing, start_window, turn, window_around, window_from
+from study.planners.freedom._kernels import (
+    best_for_cut,
+    passing,
+    start_window,
+    turn,
+    window_around,
+    window_from,
+)
 from study.planners.motion._kernels import (
     ANY_TARGET,
     ONE_VOXEL,
@@ -278,9 +285,7 @@ def _visit(sim, search, burr, i, j, k):
     if burr[0] == i and burr[1] == j and burr[2] == k:
         return True
     if _adjacent(burr, i, j, k):
-        free, a, b = window_from(
-            sim, burr[5], burr[6], int(burr[0]), int(burr[1]), int(burr[2]), i, j, k
-        )
+        free, a, b = window_from(sim, burr[5], burr[6], int(burr[0]), int(burr[1]), int(burr[2]), i, j, k)
         if free:
             step_to(sim, burr, i, j, k, a, b)
             return True

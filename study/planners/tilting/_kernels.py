@@ -20,9 +20,7 @@ def keep_up(sim):
 @inner
 def start_window(sim, layer, depth, lateral):
     limit = sim.shaft.max_tilt
-    return accessible_window(
-        sim.shaft, layer, depth, lateral, -limit, limit, sim.min_window, sim.min_overlap
-    )
+    return accessible_window(sim.shaft, layer, depth, lateral, -limit, limit, sim.min_window, sim.min_overlap)
 
 
 @inner
@@ -67,9 +65,7 @@ def position_is_free(sim, layer, depth, lateral, tilt, tip):
 
 @inner
 def window_around(sim, tilt, tip, layer, depth, lateral):
-    free, low, high = accessible_window(
-        sim.shaft, layer, depth, lateral, tilt - 1e-9, tilt + 1e-9, 0.0, 0.0
-    )
+    free, low, high = accessible_window(sim.shaft, layer, depth, lateral, tilt - 1e-9, tilt + 1e-9, 0.0, 0.0)
     return free and low <= tilt <= high, low, high
 
 
