@@ -141,6 +141,7 @@ class OctreeCheck:
         self.solid = solid != 0
         leaves = surface_voxels(self.solid) + 0.5  # voxel i is the cube from i to i + 1
         self._octree = coal.makeOctree(np.ascontiguousarray(leaves), 1.0) if len(leaves) else None
+        self._read: np.ndarray | None = None
         self._checks = [coal.ComputeCollision(self._octree, s) for s in self._shapes] if len(leaves) else []
 
     @property
@@ -247,10 +248,7 @@ class OctreeCheck:
             return np.concatenate([self.boxes(n) for n in reversed(range(self.levels))])
         if not 0 <= level < self.levels:
             raise InputError(f"level: expected 0 to {self.levels - 1}, got {level}")
-        size = 1 << level
-        nodes = np.unique(self._leaves() >> level, axis=0)
-        centres = (nodes * size + (size - 1) / 2) * self.voxel
-        return np.column_stack([centres, np.full(len(nodes), size * self.voxel)])
+        return self._boxes(self._nodes(level), level)
 
     def met(self, position: np.ndarray, axis: np.ndarray) -> list[np.ndarray]:
         """The boxes that the shaft at a pose overlaps, level by level: what a check looks into.
@@ -268,27 +266,41 @@ class OctreeCheck:
         """
         position, axis = np.asarray(position, float), np.asarray(axis, float)
         out: list[np.ndarray] = []
-        boxes = self.boxes(self.levels - 1)
+        nodes = self._nodes(self.levels - 1)
         for level in reversed(range(self.levels)):
+            boxes = self._boxes(nodes, level)
             corners = boxes[:, None, :3] + np.array([[-0.5], [0.5]]) * boxes[:, None, 3:]
             met = [
                 any(cylinder_overlaps_box(position, axis, *part, low, high) for part in self.cylinders)
                 for low, high in corners
             ]
-            out.insert(0, boxes[np.array(met, bool)])
+            met = np.array(met, bool)
+            out.insert(0, boxes[met])
             if level:
-                boxes = self.boxes(level - 1)
-                inside = [
-                    (np.abs(box[:3] - out[0][:, :3]) < out[0][:, 3:] / 2).all(axis=1).any() for box in boxes
-                ]
-                boxes = boxes[np.array(inside, bool)]
+                children = self._nodes(level - 1)
+                nodes = children[np.isin(_keys(children >> 1), _keys(nodes[met]))]
         return out
+
+    def _nodes(self, level: int) -> np.ndarray:
+        """(n, 3) places of a level's boxes, counted in boxes."""
+        return np.unique(self._leaves() >> level, axis=0)
+
+    def _boxes(self, nodes: np.ndarray, level: int) -> np.ndarray:
+        size = 1 << level
+        centres = (nodes * size + (size - 1) / 2) * self.voxel
+        return np.column_stack([centres, np.full(len(nodes), size * self.voxel)])
 
     def _leaves(self) -> np.ndarray:
         """(n, 3) indices of the octree's leaves, read back from it."""
-        if self._octree is None:
-            return np.empty((0, 3), np.int64)
-        return np.floor(np.array(self._octree.toBoxes())[:, :3]).astype(np.int64)
+        if self._read is None:
+            boxes = self._octree.toBoxes() if self._octree is not None else np.empty((0, 3))
+            self._read = np.floor(np.array(boxes)[:, :3]).astype(np.int64)
+        return self._read
+
+
+def _keys(nodes: np.ndarray) -> np.ndarray:
+    """One number for each place: `coal` counts to 2^16 along an axis."""
+    return nodes @ np.array([1, 1 << 16, 1 << 32])
 
 
 def _turns(axes: np.ndarray) -> np.ndarray:

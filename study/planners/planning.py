@@ -17,8 +17,8 @@ from study.errors import IncompletePlanWarning, InputError, PlanningError, Targe
 from study.planners.fitness import compile_terms
 from study.planners.modified import ModifiedVolume, modified_volume
 from study.planners.plan import Plan
-from study.planners.settings import PlannerSettings
 from study.planners.pointing import _kernels as pointing
+from study.planners.settings import PlannerSettings
 from study.planners.simulation import _kernels as simulation
 from study.planners.simulation.state import _kernels as state
 from study.planners.strategies import _kernels as strategies
@@ -28,6 +28,7 @@ from study.volumes.elements import element_rows
 
 STRATEGIES = ("3d", "zigzag")
 DEGREES_OF_FREEDOM = (4, 5)
+GROUNDS = 1 << 22  # voxels remembered as barring others from every side; more would only save time
 
 
 def supervoxel_reach(cutting_depth: float, spacing: np.ndarray) -> np.ndarray:
@@ -354,6 +355,8 @@ def _shaft(canonical: _Canonical, drill: Drill, settings: PlannerSettings):
     if canonical.dof == 4:
         return build_shaft(canonical.solid, steps, drill, max_tilt)
     half = np.deg2rad(settings.window_half_deg)
+    grounds = np.empty(GROUNDS, np.int32)
+    grounds[0] = 1
     return pointing.Pointing(
         space=build_free_space(
             canonical.solid, steps, drill, max_tilt, np.deg2rad(settings.direction_step_deg)
@@ -363,6 +366,8 @@ def _shaft(canonical: _Canonical, drill: Drill, settings: PlannerSettings):
         offsets=np.linspace(-half, half, settings.window_samples),
         least_free=int(np.ceil(settings.free_share * settings.window_samples**2)),
         least_gain=float(settings.least_incidence_gain),
+        shut=np.zeros(canonical.solid.size, np.int32),
+        grounds=grounds,
     )
 
 

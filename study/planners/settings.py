@@ -8,7 +8,6 @@ import numpy as np
 
 from study.errors import InputError
 
-
 METHODS = ("exact", "published")
 
 

@@ -1,4 +1,4 @@
-"""5-DOF accessibility (2.2.3): is the shaft free from a direction, from which directions, between directions."""
+"""5-DOF accessibility (2.2.3): is the shaft free from a direction, from which ones, between two."""
 
 from study.collision.directions.check import DirectionCheck
 from study.collision.directions.space import build_free_space, cone_of_directions

@@ -14,7 +14,7 @@ vectors in mm along these axes, from the burr's centre towards the drill body.
 
 from __future__ import annotations
 
-from math import acos, asin, atan2, ceil, cos, floor, inf, pi, sin, sqrt
+from math import acos, asin, atan2, ceil, cos, floor, inf, sin, sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -27,7 +27,7 @@ UNIT = 0.1  # mm of the distance field's numbers
 MOST = 255
 LOOSEST = 0.3  # mm that a cone may widen the shaft by where voxels are looked up one by one
 WITNESSES = 64  # voxels compared for the one that blocks most
-REMOVED, REFRESHED = 0, 1  # entries of `counts`
+REMOVED, REFRESHED, LISTED, WITNESSED = 0, 1, 2, 3  # entries of `counts`
 
 
 class FreeSpace(NamedTuple):
@@ -37,7 +37,10 @@ class FreeSpace(NamedTuple):
     bits: np.ndarray  # uint64 [layer, depth, word]: the same, a bit a voxel
     distance: np.ndarray  # uint8, UNIT: at least so far from the voxel's centre to the nearest solid cube
     dirty: np.ndarray  # int64 (2, 3): box of the voxels removed since the field was last refreshed
-    counts: np.ndarray  # int64: voxels removed since then; refreshments so far
+    counts: np.ndarray  # int64: voxels removed since then; refreshments; lengths of the next lists
+    listed: np.ndarray  # int32 (n,): directions a search has still to look at
+    nearness: np.ndarray  # float32 (n,): cosine of their angle to the direction sought
+    witnesses: np.ndarray  # int32 (n,): flat indices of the voxels that blocked those looked at
     cylinders: np.ndarray  # float64 (3, 3): radius, start, end in mm, widened by the sweep
     steps: np.ndarray  # float64 (3,) mm
     burr_radius: float  # mm
@@ -252,9 +255,10 @@ def _piece_is_free(space, at, u, radius, start, end, t0, t1, more, hit):
     Having found one, `more` further ones are looked at and the one nearest to the axis is kept: it
     blocks the widest range of directions.
     """
+    steps = space.steps
     nearest = inf
     left = more
-    steps = space.steps
+    clear = space.burr_radius + 0.5 * (steps[0] + steps[1] + steps[2])
     shape = space.solid.shape
     a0, z0 = at[0] + u[0] * t0, at[0] + u[0] * t1
     a1, z1 = at[1] + u[1] * t0, at[1] + u[1] * t1
@@ -307,7 +311,8 @@ def _piece_is_free(space, at, u, radius, start, end, t0, t1, more, hit):
                         p2 = k * steps[2] - at[2]
                         t = p0 * u[0] + p1 * u[1] + p2 * u[2]
                         off = p0 * p0 + p1 * p1 + p2 * p2 - t * t
-                        if off < nearest and t0 < t < t1 and t > space.burr_radius:
+                        # Its centre inside, and clear of what the burr removes: it blocks by itself.
+                        if off < min(nearest, radius * radius) and max(clear, start) < t < end:
                             nearest = off
                             hit[0], hit[1], hit[2] = i, j, k
                     elif _blocks(space, at, u, i, j, k, radius, start, end):
@@ -415,7 +420,7 @@ def shaft_is_free(space, layer, depth, lateral, u0, u1, u2, spread, more, hit):
 
 @inner
 def _heart_inside(space, p, square, u0, u1, u2):
-    """Whether the ball in the cube of the voxel p mm from the burr meets the shaft along u: then it blocks."""
+    """Whether the ball inside the cube of a voxel p mm from the burr meets the shaft along u."""
     t = p[0] * u0 + p[1] * u1 + p[2] * u2
     if t <= space.cylinders[0, 1]:
         return False
@@ -429,57 +434,61 @@ def _heart_inside(space, p, square, u0, u1, u2):
 
 
 @inner
-def search_from(space, u0, u1, u2, alive, nearness):
-    """List the directions of the robot's cone with their nearness (cosine) to u. Returns how many there are."""
+def search_from(space, u0, u1, u2):
+    """List the directions of the robot's cone with their nearness (cosine) to u, for `next_free`."""
     n = space.directions.shape[0]
     for m in range(n):
         d = space.directions[m]
-        alive[m], nearness[m] = m, u0 * d[0] + u1 * d[1] + u2 * d[2]
-    return n
+        space.listed[m], space.nearness[m] = m, u0 * d[0] + u1 * d[1] + u2 * d[2]
+    space.counts[LISTED], space.counts[WITNESSED] = n, 0
 
 
 @inner
-def next_free(space, layer, depth, lateral, alive, nearness, left, hit):
-    """The nearest direction still listed that is free: (its index or -1, how many are left on the list).
+def next_free(space, layer, depth, lateral, hit):
+    """The nearest direction still listed that is free, or -1 when none is left; takes it off the list.
 
     A voxel that blocks one direction is a witness against all those it surely blocks: some dozens of
-    witnesses shut the whole cone.
+    witnesses shut the whole cone. They are kept in `space.witnesses`: until one of them is milled no
+    direction they shut comes free.
     """
-    steps = space.steps
+    steps, shape = space.steps, space.solid.shape
+    listed, nearness = space.listed, space.nearness
     at = (layer * steps[0], depth * steps[1], lateral * steps[2])
+    left = space.counts[LISTED]
     while left > 0:
         best = 0
         for a in range(1, left):
             if nearness[a] > nearness[best]:
                 best = a
-        chosen = alive[best]
+        chosen = listed[best]
         left -= 1
-        alive[best], nearness[best] = alive[left], nearness[left]
+        listed[best], nearness[best] = listed[left], nearness[left]
         d = space.directions[chosen]
         if _ray_is_free(space, at, (d[0], d[1], d[2]), hit) and shaft_is_free(
             space, layer, depth, lateral, d[0], d[1], d[2], 0.0, WITNESSES, hit
         ):
-            return chosen, left
+            space.counts[LISTED] = left
+            return chosen
+        space.witnesses[space.counts[WITNESSED]] = (hit[0] * shape[1] + hit[1]) * shape[2] + hit[2]
+        space.counts[WITNESSED] += 1
         p = (hit[0] * steps[0] - at[0], hit[1] * steps[1] - at[1], hit[2] * steps[2] - at[2])
         square = p[0] * p[0] + p[1] * p[1] + p[2] * p[2]
         kept = 0
         for a in range(left):
-            d = space.directions[alive[a]]
+            d = space.directions[listed[a]]
             if not _heart_inside(space, p, square, d[0], d[1], d[2]):
-                alive[kept], nearness[kept] = alive[a], nearness[a]
+                listed[kept], nearness[kept] = listed[a], nearness[a]
                 kept += 1
         left = kept
-    return -1, 0
+    space.counts[LISTED] = 0
+    return -1
 
 
 @kernel
 def nearest_free(space, layer, depth, lateral, u0, u1, u2, hit):
     """Index of the free direction of the robot's cone that is nearest to u; -1 if none is free."""
-    n = space.directions.shape[0]
-    alive = np.empty(n, np.int32)
-    nearness = np.empty(n, np.float32)
-    left = search_from(space, u0, u1, u2, alive, nearness)
-    return next_free(space, layer, depth, lateral, alive, nearness, left, hit)[0]
+    search_from(space, u0, u1, u2)
+    return next_free(space, layer, depth, lateral, hit)
 
 
 @kernel
@@ -492,7 +501,7 @@ def directions_free(space, layer, depth, lateral, axes, free):
 
 @inner
 def direction(tilt, tip):
-    """Unit vector [layer, depth, lateral] of a shaft tilted about the layer axis and tipped out of its plane."""
+    """Unit vector of a shaft tilted about the layer axis and tipped out of the plane across it."""
     return sin(tip), -cos(tip) * cos(tilt), cos(tip) * sin(tilt)
 
 

@@ -46,7 +46,7 @@ def cone_of_directions(max_tilt: float, spacing: float) -> np.ndarray:
         Unit vectors [layer, depth, lateral] from the burr towards the drill body, the approach itself
         first, then outwards. They include tilts about either grid axis.
     """
-    if not 0 < max_tilt < np.pi / 2 or not 0 < spacing:
+    if not 0 < max_tilt < np.pi / 2 or not spacing > 0:
         raise InputError(
             f"cone: expected a half angle between 0 and 90 degrees and a spacing above 0, "
             f"got {np.degrees(max_tilt):g} and {np.degrees(spacing):g} degrees"
@@ -96,16 +96,21 @@ def build_free_space(
     shape = np.array(solid.shape, np.int64)
     _kernels.raise_distance(solid, steps, distance, np.zeros(3, np.int64), shape, SIGHT)
     dirty = np.stack([shape, np.zeros(3, np.int64)])
+    directions = cone_of_directions(max_tilt, spacing)
+    n = len(directions)
     return _kernels.FreeSpace(
         solid=solid,
         bits=bits,
         distance=distance,
         dirty=dirty,
-        counts=np.zeros(2, np.int64),
+        counts=np.zeros(4, np.int64),
+        listed=np.empty(n, np.int32),
+        nearness=np.empty(n, np.float32),
+        witnesses=np.empty(n, np.int32),
         cylinders=cylinders,
         steps=steps,
         burr_radius=float(drill.burr_radius),
-        directions=cone_of_directions(max_tilt, spacing),
+        directions=directions,
         max_tilt=float(max_tilt),
         patience=PATIENCE,
     )

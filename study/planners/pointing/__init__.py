@@ -1,1 +1,1 @@
-"""A robot with 5 degrees of freedom points its drill anywhere in a cone: single directions, verified turns."""
+"""A 5-DOF robot points its drill anywhere in a cone: single directions and verified turns."""

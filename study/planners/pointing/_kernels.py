@@ -1,4 +1,4 @@
-"""Compiled answers of a 5-DOF robot. The burr's window is one direction: tilt ``burr[5]``, tip ``burr[6]``."""
+"""Compiled answers of a 5-DOF robot. A window is one direction: tilt ``burr[5]``, tip ``burr[6]``."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 from study._compiled import inner, kernel
 from study.collision.directions._kernels import (
     REMOVED,
+    WITNESSED,
     FreeSpace,
     angles,
     direction,
@@ -35,6 +36,8 @@ class Pointing(NamedTuple):
     offsets: np.ndarray  # float64 (n,) radians: the tilts and tips of that window
     least_free: int  # directions of the window that must be free
     least_gain: float  # of the sine of the incidence angle, for a turn that only serves the cut
+    shut: np.ndarray  # int32 over voxels: where in `grounds` the witnesses against them stand; 0 if none
+    grounds: np.ndarray  # int32: [0] the next place; then lists, each a length and so many flat indices
 
 
 @inner
@@ -49,14 +52,45 @@ def keep_up(sim):
 
 
 @inner
+def _is_shut(sim, layer, depth, lateral):
+    """Whether a voxel was found blocked from every direction, and what blocks it is still there."""
+    space, grounds = sim.shaft.space, sim.shaft.grounds
+    flat = (layer * space.solid.shape[1] + depth) * space.solid.shape[2] + lateral
+    first = sim.shaft.shut[flat]
+    if first == 0:
+        return False
+    solid = space.solid.ravel()
+    for n in range(first + 1, first + 1 + grounds[first]):
+        if solid[grounds[n]] == 0:
+            sim.shaft.shut[flat] = 0
+            return False
+    return True
+
+
+@inner
+def _shut(sim, layer, depth, lateral):
+    """Remember the witnesses of the search that has just failed, as long as there is room."""
+    space, grounds = sim.shaft.space, sim.shaft.grounds
+    n, first = space.counts[WITNESSED], grounds[0]
+    if first + 1 + n > grounds.size:
+        return
+    grounds[first] = n
+    for m in range(n):
+        grounds[first + 1 + m] = space.witnesses[m]
+    sim.shaft.shut[(layer * space.solid.shape[1] + depth) * space.solid.shape[2] + lateral] = first
+    grounds[0] = first + 1 + n
+
+
+@inner
 def start_window(sim, layer, depth, lateral):
     space = sim.shaft.space
     hit = np.empty(3, np.int64)
-    n = space.directions.shape[0]
-    alive, nearness = np.empty(n, np.int32), np.empty(n, np.float32)
-    left = search_from(space, 0.0, -1.0, 0.0, alive, nearness)
-    m, _ = next_free(space, layer, depth, lateral, alive, nearness, left, hit)
+    if _is_shut(sim, layer, depth, lateral):
+        return False, 0.0, 0.0
+    search_from(space, 0.0, -1.0, 0.0)
+    m = next_free(space, layer, depth, lateral, hit)
     if m < 0:
+        _shut(sim, layer, depth, lateral)
         return False, 0.0, 0.0
     v = space.directions[m]
     tilt, tip = angles(v[0], v[1], v[2])
@@ -74,14 +108,16 @@ def _any_direction(sim, a, b, i, j, k, layer, depth, lateral):
     space = sim.shaft.space
     hit = np.empty(3, np.int64)
     u = direction(a, b)
+    if _is_shut(sim, layer, depth, lateral):
+        return False, 0.0, 0.0
     if shaft_is_free(space, layer, depth, lateral, u[0], u[1], u[2], 0.0, 0, hit):
         return True, a, b
-    n = space.directions.shape[0]
-    alive, nearness = np.empty(n, np.int32), np.empty(n, np.float32)
-    left = search_from(space, u[0], u[1], u[2], alive, nearness)
-    for _ in range(TRIES):
-        m, left = next_free(space, layer, depth, lateral, alive, nearness, left, hit)
+    search_from(space, u[0], u[1], u[2])
+    for tried in range(TRIES):
+        m = next_free(space, layer, depth, lateral, hit)
         if m < 0:
+            if tried == 0:
+                _shut(sim, layer, depth, lateral)
             break
         v = (space.directions[m, 0], space.directions[m, 1], space.directions[m, 2])
         if _can_turn(space, i, j, k, u, v, hit):
@@ -141,15 +177,24 @@ def window_from(sim, a, b, i, j, k, layer, depth, lateral):
 @inner
 def search_window(sim, a, b, i, j, k, layer, depth, lateral):
     # Bone only disappears: a direction found free before still is.
+    space = sim.shaft.space
     known = sim.known[layer, depth, lateral]
     if known[2] > 0.0:
         if known[0] == a and known[1] == b:
             return True, a, b
+        hit = np.empty(3, np.int64)
         u, v = direction(a, b), direction(known[0], known[1])
-        if not sim.shaft.published or hypot(known[0] - a, known[1] - b) <= sim.shaft.offsets[-1]:
-            hit = np.empty(3, np.int64)
-            if _can_turn(sim.shaft.space, i, j, k, u, v, hit):
+        if not sim.shaft.published:
+            # Keeping the direction beats turning to the known one, and turning there a search.
+            if shaft_is_free(space, layer, depth, lateral, u[0], u[1], u[2], 0.0, 0, hit):
+                known[0], known[1] = a, b
+                return True, a, b
+            if _can_turn(space, i, j, k, u, v, hit):
                 return True, known[0], known[1]
+        elif hypot(known[0] - a, known[1] - b) <= sim.shaft.offsets[-1] and _can_turn(
+            space, i, j, k, u, v, hit
+        ):
+            return True, known[0], known[1]
     free, tilt, tip = window_from(sim, a, b, i, j, k, layer, depth, lateral)
     if free:
         known[0], known[1], known[2] = tilt, tip, 1.0
@@ -259,8 +304,6 @@ def drop_inaccessible(space, modified):
     """
     dropped = 0
     hit = np.empty(3, np.int64)
-    n = space.directions.shape[0]
-    alive, nearness = np.empty(n, np.int32), np.empty(n, np.float32)
     last = 0
     for i in range(modified.shape[0]):
         for j in range(modified.shape[1]):
@@ -270,8 +313,8 @@ def drop_inaccessible(space, modified):
                 d = space.directions[last]
                 if shaft_is_free(space, i, j, k, d[0], d[1], d[2], 0.0, 0, hit):
                     continue
-                left = search_from(space, 0.0, -1.0, 0.0, alive, nearness)
-                m, _ = next_free(space, i, j, k, alive, nearness, left, hit)
+                search_from(space, 0.0, -1.0, 0.0)
+                m = next_free(space, i, j, k, hit)
                 if m < 0:
                     modified[i, j, k] = 0
                     dropped += 1
