@@ -11,11 +11,13 @@ from shaft_poses import (
     contacts,
     disagreements,
     overlaps,
+    pocket_poses,
     poses,
     single_voxel,
 )
 
 from study.collision import Drill
+from study.collision.exact._kernels import drill_overlaps_voxels
 from study.collision.octree import OctreeCheck, surface_voxels
 from study.errors import GeometryError, InputError
 
@@ -66,6 +68,27 @@ def test_boxes_are_the_voxels_and_their_parents():
         check.boxes(check.levels)
 
 
+def test_boxes_met_are_all_that_the_shaft_overlaps_and_no_voxel_where_it_is_free():
+    rng = np.random.default_rng(8)
+    case = cases(rng)[4]
+    at = pocket_poses(case, rng, 12)  # in general position: none touches to the last bit
+    check = OctreeCheck(case.solid, case.spacing, cylinders=case.cylinders)
+    free = check.free(at.positions, at.axes)
+    surface = np.zeros_like(case.solid)
+    surface[tuple(surface_voxels(case.solid).T)] = 1
+    assert 0 < free.sum() < len(at)
+    for n in range(len(at)):
+        met = check.met(at.positions[n], at.axes[n])
+        assert len(met) == check.levels
+        left, hit, hits = surface.copy(), np.zeros(3, np.int64), []
+        while drill_overlaps_voxels(left, case.spacing, at.positions[n], at.axes[n], case.cylinders, hit):
+            hits.append(tuple(hit))
+            left[tuple(hit)] = 0
+        found = np.round(met[0][:, :3] / case.spacing).astype(int)
+        assert sorted(map(tuple, found)) == sorted(hits)
+        assert free[n] == (not hits)
+
+
 # Agreement
 
 
@@ -83,11 +106,29 @@ def test_contacts_with_one_voxel_are_told_apart_by_their_known_gap(cylinder):
     assert (gaps > check.gap_mm).sum() > 2500
 
 
+@pytest.mark.parametrize("along", [0, 1, 2])
+def test_exact_answer_sees_a_rim_dip_by_a_tilt_that_squares_round_away(along):
+    """Tilted by 1e-8, the rim of a cap 5 mm aside is 5e-8 mm lower; 1 - cos^2 of that tilt is 0."""
+    solid = np.zeros((30, 30, 30), np.uint8)
+    solid[3, 3, 3] = 1
+    case = ShaftCase("voxel", solid, SPACING, np.array([[5.8, 2.0, 6.0]]))
+    aside = (along + 1) % 3
+    axis = np.zeros(3)
+    axis[along], axis[aside] = 1.0, 1e-8
+    for gap, expected in ((4e-8, True), (6e-8, False)):
+        position = np.full(3, 3 * 0.4)  # the voxel's centre
+        position[along] += 0.2 - 2.0 + gap
+        found = [
+            overlaps(case, (position + side * np.eye(3)[aside])[None], axis[None])[0] for side in (-5, 5)
+        ]
+        assert found == [expected, False]
+
+
 def test_agrees_with_the_exact_answer_within_the_rounding_band():
     rng = np.random.default_rng(20210)
     seen, close, outcomes = 0, 0, {}
     for case in cases(rng):
-        at = poses(case, rng, 20_000)
+        at = poses(case, rng, 15_000)
         blocked = overlaps(case, at.positions, at.axes)
         check = OctreeCheck(case.solid, case.spacing, cylinders=case.cylinders)
         assert check.gap_mm < 1e-4
@@ -100,7 +141,7 @@ def test_agrees_with_the_exact_answer_within_the_rounding_band():
         seen, close = seen + len(at), close + near.sum()
         for kind in np.unique(at.kinds):
             outcomes.setdefault(kind, []).extend(blocked[at.kinds == kind])
-    assert seen >= 200_000 and close > 5000
+    assert seen >= 150_000 and close > 5000
     assert len(outcomes) == 10
     for kind, hits in outcomes.items():
         assert 0.02 < np.mean(hits) < 0.98, kind  # every kind of pose could have gone wrong either way

@@ -18,6 +18,13 @@ from study.rendering.chapter2 import (
     supervoxel,
 )
 from study.rendering.milling import MillingFrame, milling_frames
+from study.rendering.octree import (
+    octree_levels,
+    octree_section,
+    shaft_against_octree,
+    shaft_range,
+    whole_octree,
+)
 from study.rendering.panels import panels
 from study.rendering.scene import Scene, draw, is_interactive, off_screen, show
 from study.rendering.surfaces import mask_surface, mask_surface_exact
@@ -40,15 +47,20 @@ __all__ = [
     "milling_frames",
     "milling_strip",
     "modified_segmentation",
+    "octree_levels",
+    "octree_section",
     "off_screen",
     "panels",
     "path_in_region",
     "plan_scene",
     "scene_figure",
     "segmentation",
+    "shaft_against_octree",
+    "shaft_range",
     "short_path_in_space",
     "show",
     "side_view",
     "supervoxel",
     "voxel_cubes",
+    "whole_octree",
 ]

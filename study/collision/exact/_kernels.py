@@ -102,7 +102,8 @@ def drill_overlaps_voxels(solid, spacing, position, axis, cylinders, hit):
         for n in range(3):
             a = position[n] + axis[n] * start
             z = position[n] + axis[n] * end
-            reach = radius * sqrt(max(0.0, 1.0 - axis[n] * axis[n])) + spacing[n] / 2
+            m, o = (n + 1) % 3, (n + 2) % 3  # not 1 - axis[n]^2, which rounds a slight tilt away
+            reach = radius * sqrt(axis[m] * axis[m] + axis[o] * axis[o]) + spacing[n] / 2
             first[n] = max(0, ceil((min(a, z) - reach) / spacing[n]))
             last[n] = min(shape[n] - 1, floor((max(a, z) + reach) / spacing[n]))
         bound = radius + 0.5 * sqrt(spacing[0] ** 2 + spacing[1] ** 2 + spacing[2] ** 2)
@@ -113,7 +114,7 @@ def drill_overlaps_voxels(solid, spacing, position, axis, cylinders, hit):
                 # Voxels of this column whose centres are within `bound` of the axis: a k interval.
                 c0, c1 = p0 * axis[0] + p1 * axis[1], p0 * p0 + p1 * p1
                 k0, k1 = first[2], last[2]
-                square = 1.0 - axis[2] * axis[2]
+                square = axis[0] * axis[0] + axis[1] * axis[1]
                 if square > 1e-9:
                     middle = c0 * axis[2] / square
                     rest = middle * middle - (c1 - c0 * c0 - bound * bound) / square
@@ -122,7 +123,7 @@ def drill_overlaps_voxels(solid, spacing, position, axis, cylinders, hit):
                     rest = sqrt(rest)
                     k0 = max(k0, floor((position[2] + middle - rest) / spacing[2]))
                     k1 = min(k1, ceil((position[2] + middle + rest) / spacing[2]))
-                elif c1 > bound * bound:
+                elif c1 > (bound + sqrt(square) * end) ** 2:
                     continue
                 for k in range(k0, k1 + 1):
                     if solid[i, j, k] == 0:
