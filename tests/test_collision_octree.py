@@ -1,3 +1,5 @@
+import time
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -204,6 +206,18 @@ def test_one_position_for_all_directions_or_one_for_each():
     np.testing.assert_array_equal(together, check.free(np.tile(burr, (200, 1)), axes))
     np.testing.assert_array_equal(together, [check.is_free(burr, axis) for axis in axes])
     assert check.free(burr, np.empty((0, 3))).shape == (0,)
+
+
+def test_time_inside_coal_is_counted_when_asked_for():
+    axes = np.tile(UP, (300, 1))
+    burr = np.array([5, 6, 5]) * SPACING
+    counts = []
+    for timed in (False, True):
+        check = OctreeCheck(block_under_air(), SPACING, timed=timed)
+        clock = time.perf_counter()
+        check.free(burr, axes)
+        counts.append((check.seconds, time.perf_counter() - clock))
+    assert counts[0][0] == 0 < counts[1][0] < counts[1][1]
 
 
 def test_bad_input_is_refused():
