@@ -11,6 +11,7 @@ from study.errors import InputError
 from study.robots import (
     Ansr,
     FeedSettings,
+    FiveAxis,
     RoundingSettings,
     fit_feed_constant,
     predict_milling,
@@ -18,6 +19,7 @@ from study.robots import (
 )
 from study.robots.feed import weighted_removal
 from study.robots.feed_laws import LAWS
+from study.robots.turns import angles_between
 
 
 def busy_plan(seed, steps=300, labels=None):
@@ -109,6 +111,51 @@ def test_the_trajectory_follows_the_rounded_path_on_time(seed):
     stays[:-1] &= np.diff(clock) > 0
     assert stays.sum() > 50
     np.testing.assert_allclose(at[1][stays], plan.axes[stays], atol=1e-6)
+
+
+def leaning_plan(seed):
+    """A busy plan whose drill also leaves the plane, in place and on the way, at most 5 degrees a step."""
+    plan = busy_plan(seed)
+    rng = np.random.default_rng(seed)
+    n = len(plan.points)
+    tilt, lean = np.cumsum(rng.uniform(-0.08, 0.08, (2, n)) * (rng.random(n) < 0.5), axis=1)
+    robot = FiveAxis.for_plan(plan)
+    joints = np.column_stack([np.zeros((n, 3)), 0.7 * np.sin(tilt), 0.7 * np.cos(lean)])
+    object.__setattr__(plan, "axes", robot.forward(joints)[1])
+    object.__setattr__(plan, "dof", 5)
+    return plan
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_five_joints_follow_the_plan_on_great_circles(seed):
+    plan = leaning_plan(seed)
+    milling = predict_milling(plan)
+    assert isinstance(milling.robot, FiveAxis)
+    track = milling.trajectory
+    assert list(track.to_frame())[:6] == ["time_s", "x_mm", "y_mm", "z_mm", "tilt_deg", "lean_deg"]
+    assert track.duration_s == pytest.approx(milling.time_s)
+    time = np.diff(track.time_s)
+    turned = np.rad2deg(np.abs(np.diff(track.joints[:, 3:], axis=0))).max(axis=1)
+    standing = np.linalg.norm(np.diff(track.points, axis=0), axis=1) < 1e-12
+    assert (turned[standing] <= milling.robot.max_tilt_speed_deg * time[standing] + 1e-6).all()
+    assert standing.sum() > 10
+    # Joints that turn evenly between the samples stay on the circle that was planned and is replayed.
+    fine = np.linspace(0, track.duration_s, 40000)
+    axes = milling.robot.forward(track.at(fine))[1]
+    clock = np.concatenate([[0.0], np.cumsum(milling.step_times)])
+    step = np.clip(np.searchsorted(clock, fine, side="right") - 1, 0, len(plan.points) - 2)
+    start, end = plan.axes[step], plan.axes[step + 1]
+    pole = np.cross(start, end)
+    turn = np.linalg.norm(pole, axis=1)
+    aside = np.abs(np.einsum("ij,ij->i", axes, pole)[turn > 1e-3] / turn[turn > 1e-3])
+    assert aside.max() < 5e-5  # a degree's share of it; cut nowhere they leave it four times as far
+    assert angles_between(start, axes)[turn == 0].max() < 1e-6
+
+
+def test_a_plan_of_four_degrees_of_freedom_takes_five_axes_as_long():
+    plan = busy_plan(4)
+    five = predict_milling(plan, FiveAxis.for_plan(plan))
+    assert five.time_s == pytest.approx(predict_milling(plan).time_s, rel=1e-12)
 
 
 def test_the_trajectory_goes_to_a_file(tmp_path):

@@ -21,9 +21,10 @@ def pocket():
     return LabelVolume(labels, np.diag([0.5, 0.5, 0.5, 1.0]), {"air": 0, "protected": 1, "target": 2})
 
 
-@pytest.fixture(scope="module", params=["3d", "zigzag"])
+@pytest.fixture(scope="module", params=[("3d", 4), ("zigzag", 4), ("3d", 5), ("zigzag", 5)], ids=str)
 def plan(request, pocket):
-    return plan_path(pocket, request.param)
+    strategy, dof = request.param
+    return plan_path(pocket, strategy, dof)
 
 
 def test_the_rounded_path_is_shorter_verified_and_leaves_no_more_bone(plan):
@@ -47,7 +48,7 @@ def test_a_path_through_protected_bone_is_found_out(plan):
     points = plan.points.copy()
     deep = int(np.argmin(points[:, 2]))
     points[deep:, 2] -= 2.0
-    moved = Plan(points, plan.axes, plan.removed, dof=4, approach=plan.approach,
+    moved = Plan(points, plan.axes, plan.removed, dof=plan.dof, approach=plan.approach,
                  rotation_axis=plan.rotation_axis, modified=plan.modified)  # fmt: skip
     with pytest.raises(PlanViolation):
         predict_milling(moved, rounding=RoundingSettings(corner_tolerance=0)).verify()
@@ -61,16 +62,17 @@ def test_replayed_bone_is_what_the_planner_counted(plan):
 
 def test_a_plan_from_a_file_mills_like_the_original(plan, pocket, tmp_path):
     plan.to_csv(tmp_path / "plan.csv")
-    known = {"approach": plan.approach, "rotation_axis": plan.rotation_axis}
+    known = {"approach": plan.approach, "rotation_axis": plan.rotation_axis, "dof": plan.dof}
     again = Plan.read_csv(tmp_path / "plan.csv", volume=pocket, **known)
     np.testing.assert_allclose(predict_milling(again).summary(), predict_milling(plan).summary())
     with pytest.raises(InputError, match="rotation axis"):
-        predict_milling(Plan.read_csv(tmp_path / "plan.csv", volume=pocket))
+        predict_milling(Plan.read_csv(tmp_path / "plan.csv", volume=pocket, dof=plan.dof))
 
 
-def test_a_real_bone_is_milled_within_the_limits():
+@pytest.mark.parametrize("dof", [4, 5])
+def test_a_real_bone_is_milled_within_the_limits(dof):
     volume = read_volume(real("temporal_bone/LT143/planning_0p38.nrrd"))
-    plan = plan_path(volume, "3d")
+    plan = plan_path(volume, "3d", dof)
     milling = predict_milling(plan)
     assert 0 < milling.path.shortening < 0.15
     assert 0.5 < milling.mean_speed_mm_per_s < 5.0

@@ -52,6 +52,9 @@ class Ansr:
         If a parameter has the wrong shape or range, or `rest_axis` is not perpendicular to the rotation axis.
     """
 
+    #: Names of the joints with their units, the rotations last.
+    joint_names = ("x_mm", "y_mm", "z_mm", "tilt_deg")
+
     directions: np.ndarray = field(default_factory=lambda: np.eye(3))
     rotation_axis: int = 0
     rest_axis: np.ndarray = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))
@@ -82,7 +85,7 @@ class Ansr:
 
     @classmethod
     def for_plan(cls, plan: Plan, **parameters: float) -> Ansr:
-        """The robot mounted as a 4-DOF plan assumes: along the grid, tilt 0 along the approach.
+        """The robot mounted as a plan assumes: along the grid, tilt 0 along the approach.
 
         Parameters
         ----------
@@ -93,11 +96,12 @@ class Ansr:
         Raises
         ------
         InputError
-            If the plan has not 4 degrees of freedom, was read without its volume or rotation axis, or
-            its approach runs along its rotation axis.
+            If the plan has more degrees of freedom than the robot, was read without its volume or
+            rotation axis, or its approach runs along its rotation axis.
         """
-        if plan.dof != 4:
-            raise InputError(f"plan: a 4-axis robot needs a plan with dof 4, got dof {plan.dof}")
+        axes = len(cls.joint_names)
+        if plan.dof > axes:
+            raise InputError(f"plan: a {axes}-axis robot needs a plan with dof {axes}, got dof {plan.dof}")
         if plan.modified is None or plan.rotation_axis not in (0, 1, 2):
             raise InputError(
                 "plan: expected its volume and its rotation axis (0, 1 or 2); "
@@ -117,6 +121,11 @@ class Ansr:
         """(3,) unit vector the tilt turns about."""
         return self.directions[:, self.rotation_axis]
 
+    @property
+    def side_axis(self) -> np.ndarray:
+        """(3,) unit vector that a tilt of a quarter turn points the drill along."""
+        return np.cross(self.rotation_vector, self.rest_axis)
+
     def forward(self, joints: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Burr and drill axis of joint values.
 
@@ -132,12 +141,8 @@ class Ansr:
         axes : (n, 3) array
             Unit vectors from the burr's centre to the drill body.
         """
-        joints = np.asarray(joints, dtype=float)
-        if joints.ndim != 2 or joints.shape[1] != 4:
-            raise InputError(f"joints: expected shape (n, 4), got {joints.shape}")
-        side = np.cross(self.rotation_vector, self.rest_axis)
-        tilt = joints[:, 3:]
-        axes = np.cos(tilt) * self.rest_axis + np.sin(tilt) * side
+        joints = self._checked_joints(joints)
+        axes = self._in_plane(joints[:, 3])
         return joints[:, :3] @ self.directions.T - self.burr_offset * axes, axes
 
     def inverse(self, points: np.ndarray, axes: np.ndarray) -> np.ndarray:
@@ -161,6 +166,52 @@ class Ansr:
             If the shapes differ from (n, 3), an axis is no unit vector, or an axis leaves the plane
             of rotation by more than `axis_tolerance_deg`: that is no 4-DOF pose.
         """
+        points, axes = self._checked_poses(points, axes)
+        out_of_plane = np.abs(axes @ self.rotation_vector)
+        if (out_of_plane > np.sin(np.deg2rad(self.axis_tolerance_deg))).any():
+            row = int(np.argmax(out_of_plane))
+            angle = np.rad2deg(np.arcsin(min(out_of_plane[row], 1.0)))
+            raise InputError(
+                f"axes: expected drill axes within {self.axis_tolerance_deg:g} degrees of the plane "
+                f"perpendicular to the rotation axis {self.rotation_vector.tolist()}; row {row} is "
+                f"{angle:.3g} degrees off, this is not a plan of 4 degrees of freedom"
+            )
+        tilt = np.arctan2(axes @ self.side_axis, axes @ self.rest_axis)
+        centre = (points + self.burr_offset * self._in_plane(tilt)) @ self.directions
+        return np.column_stack([centre, tilt])
+
+    def turning_times(self, axes: np.ndarray) -> np.ndarray:
+        """Seconds that the rotation takes at least between consecutive drill axes.
+
+        Parameters
+        ----------
+        axes : (n, 3) array
+            Unit vectors from the burr's centre to the drill body.
+
+        Returns
+        -------
+        (n - 1,) array
+            Of the joint's turn at `max_tilt_speed_deg`.
+        """
+        tilt = np.unwrap(self.inverse(np.zeros(np.shape(axes)), axes)[:, 3])
+        return np.abs(np.diff(tilt)) / np.deg2rad(self.max_tilt_speed_deg)
+
+    def places_in_turns(self, axes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Steps and shares of them at which a turn needs a sample: none, one joint turns evenly."""
+        return np.empty(0, int), np.empty(0)
+
+    def _in_plane(self, tilt: np.ndarray) -> np.ndarray:
+        return np.cos(tilt)[:, None] * self.rest_axis + np.sin(tilt)[:, None] * self.side_axis
+
+    def _checked_joints(self, joints: np.ndarray) -> np.ndarray:
+        joints = np.asarray(joints, dtype=float)
+        if joints.ndim != 2 or joints.shape[1] != len(self.joint_names):
+            raise InputError(f"joints: expected shape (n, {len(self.joint_names)}), got {joints.shape}")
+        return joints
+
+    @staticmethod
+    def _checked_poses(points: np.ndarray, axes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Points, and axes of length 1 to the last digit."""
         points, axes = np.asarray(points, dtype=float), np.asarray(axes, dtype=float)
         if points.ndim != 2 or points.shape[1] != 3 or axes.shape != points.shape:
             raise InputError(f"points, axes: expected two (n, 3) arrays, got {points.shape} and {axes.shape}")
@@ -171,18 +222,4 @@ class Ansr:
         if bad.any():
             row = int(np.flatnonzero(bad)[0])
             raise InputError(f"axes: expected unit vectors, got {axes[row].tolist()} in row {row}")
-        axes = axes / length[:, None]
-        out_of_plane = np.abs(axes @ self.rotation_vector)
-        if (out_of_plane > np.sin(np.deg2rad(self.axis_tolerance_deg))).any():
-            row = int(np.argmax(out_of_plane))
-            angle = np.rad2deg(np.arcsin(min(out_of_plane[row], 1.0)))
-            raise InputError(
-                f"axes: expected drill axes within {self.axis_tolerance_deg:g} degrees of the plane "
-                f"perpendicular to the rotation axis {self.rotation_vector.tolist()}; row {row} is "
-                f"{angle:.3g} degrees off, this is not a plan of 4 degrees of freedom"
-            )
-        side = np.cross(self.rotation_vector, self.rest_axis)
-        tilt = np.arctan2(axes @ side, axes @ self.rest_axis)
-        in_plane = np.cos(tilt)[:, None] * self.rest_axis + np.sin(tilt)[:, None] * side
-        centre = (points + self.burr_offset * in_plane) @ self.directions
-        return np.column_stack([centre, tilt])
+        return points, axes / length[:, None]

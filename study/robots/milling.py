@@ -1,4 +1,4 @@
-"""Predicted milling: path length, time and speed of a plan on the 4-axis robot (Siebold, 2.4.1 and 2.5.1)."""
+"""Predicted milling: path length, time and speed of a plan on a robot (Siebold, 2.4.1 and 2.5.1)."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import pandas as pd
 from study.errors import InputError
 from study.robots.ansr import Ansr
 from study.robots.feed import FeedSettings, weighted_removal
+from study.robots.five_axis import FiveAxis
 from study.robots.rounding import RoundedPath, RoundingSettings, round_plan
 from study.robots.trajectory import JointTrajectory, joint_trajectory
 
@@ -60,8 +61,6 @@ class Milling:
         The path the burr's centre follows.
     removed : (n,) array
         mm^3 of bone (of relative density 1) removed on arriving at each planned point.
-    tilt : (n,) array
-        Tilt at the planned points, radians.
     """
 
     plan: Plan
@@ -69,12 +68,11 @@ class Milling:
     feed: FeedSettings
     path: RoundedPath
     removed: np.ndarray
-    tilt: np.ndarray
 
     @cached_property
     def motion(self) -> Motion:
         """The steps between planned points."""
-        turning = np.abs(np.diff(self.tilt)) / np.deg2rad(self.robot.max_tilt_speed_deg)
+        turning = self.robot.turning_times(self.plan.axes)
         return Motion(np.diff(self.path.rounded_s), self.removed[1:], turning)
 
     @property
@@ -156,9 +154,10 @@ def predict_milling(
     Parameters
     ----------
     plan : Plan
-        Of 4 degrees of freedom: the printed 5-DOF tables leave these columns empty.
+        The printed 5-DOF tables leave these columns empty: the text's robot has 4 axes.
     robot : Ansr, optional
-        ``Ansr.for_plan(plan)`` by default.
+        By default ``Ansr.for_plan(plan)``, for a plan of 5 degrees of freedom the hypothetical
+        ``FiveAxis.for_plan(plan)``, whose rotations are as fast.
     feed : FeedSettings, optional
     density : (nx, ny, nz) array, optional
         Relative bone density on the volume's grid (`relative_density` makes it from a CT). Without
@@ -172,13 +171,14 @@ def predict_milling(
     Raises
     ------
     InputError
-        If the plan is not one of 4 degrees of freedom or `density` does not fit its volume.
+        If the robot cannot follow the plan or `density` does not fit its volume.
     """
-    robot = Ansr.for_plan(plan) if robot is None else robot
+    if robot is None:
+        robot = (FiveAxis if plan.dof == 5 else Ansr).for_plan(plan)
     feed = FeedSettings() if feed is None else feed
     removed = plan.removed if density is None else weighted_removal(plan, density)
     removed = np.asarray(removed, dtype=float)
     if removed.shape != (len(plan.points),) or not (removed >= 0).all():
         raise InputError(f"plan.removed: expected {len(plan.points)} volumes of at least 0 mm^3")
-    tilt = np.unwrap(robot.inverse(plan.points, plan.axes)[:, 3])
-    return Milling(plan, robot, feed, round_plan(plan, rounding), removed, tilt)
+    robot.inverse(plan.points, plan.axes)  # refuses what the robot cannot do
+    return Milling(plan, robot, feed, round_plan(plan, rounding), removed)

@@ -1,4 +1,4 @@
-"""Joint trajectories: time-stamped samples of the four joints (Siebold, 2.4.1)."""
+"""Joint trajectories: time-stamped samples of the joints (Siebold, 2.4.1)."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from study.errors import InputError
 from study.files import written_whole
 from study.robots.ansr import Ansr
 from study.robots.rounding import RoundedPath
+from study.robots.turns import turned
 
 _ARC_SHARES = np.array([0.25, 0.5, 0.75])  # samples inside an arc; its ends are samples too
 
@@ -24,8 +25,8 @@ class JointTrajectory:
     ----------
     time_s : (m,) array
         Seconds from the start, never decreasing.
-    joints : (m, 4) array
-        x, y, z of the rotation's centre in mm, tilt in radians.
+    joints : (m, 4) or (m, 5) array
+        x, y, z of the rotations' centre in mm, tilt and, of a 5-axis robot, lean in radians.
     points : (m, 3) array
         Burr centres, mm, in the volume's frame.
     robot : Ansr
@@ -43,15 +44,15 @@ class JointTrajectory:
         return float(self.time_s[-1] - self.time_s[0])
 
     def at(self, time_s: np.ndarray) -> np.ndarray:
-        """(k, 4) joints at (k,) times, held at the ends."""
+        """(k, 4) or (k, 5) joints at (k,) times, held at the ends."""
         time_s = np.atleast_1d(np.asarray(time_s, dtype=float))
         return np.column_stack([np.interp(time_s, self.time_s, joint) for joint in self.joints.T])
 
     def to_frame(self) -> pd.DataFrame:
-        """Columns time_s, x_mm, y_mm, z_mm, tilt_deg and the burr's burr_x_mm, burr_y_mm, burr_z_mm."""
+        """Columns time_s, those of the joints (`Ansr.joint_names`), burr_x_mm, burr_y_mm, burr_z_mm."""
         frame = pd.DataFrame({"time_s": self.time_s})
         frame[["x_mm", "y_mm", "z_mm"]] = self.joints[:, :3]
-        frame["tilt_deg"] = np.rad2deg(self.joints[:, 3])
+        frame[list(self.robot.joint_names[3:])] = np.rad2deg(self.joints[:, 3:])
         frame[["burr_x_mm", "burr_y_mm", "burr_z_mm"]] = self.points
         return frame
 
@@ -66,7 +67,8 @@ def joint_trajectory(
 ) -> JointTrajectory:
     """Samples at every planned point and along every arc.
 
-    Within a step the burr moves at constant speed and the tilt turns in proportion to the way.
+    Within a step the burr moves at constant speed and the drill turns in proportion to the way, on the
+    great circle between the planned axes. A turn of two joints has a sample every degree (`FiveAxis`).
 
     Parameters
     ----------
@@ -92,8 +94,10 @@ def joint_trajectory(
             f"axes, step_times: expected shapes ({n}, 3) and ({n - 1},), "
             f"got {np.shape(axes)} and {np.shape(step_times)}"
         )
-    tilt = np.unwrap(robot.inverse(path.points, axes)[:, 3])
+    axes = np.asarray(axes, dtype=float)
+    robot.inverse(path.points, axes)  # refuses what the robot cannot do, with the planned row
     clock = np.concatenate([[0.0], np.cumsum(step_times)])
+    after = np.minimum(np.arange(n) + 1, n - 1)
 
     # Places inside steps at which the path begins, follows or leaves an arc.
     on = path.reaches > 0
@@ -104,22 +108,20 @@ def joint_trajectory(
     new = (steps < n - 1) & (inside - path.planned_s[np.minimum(steps, n - 1)] > 1e-9)
     new &= path.planned_s[np.minimum(steps + 1, n - 1)] - inside > 1e-9
     inside, steps = inside[new], steps[new]
+    length = path.planned_s[after] - path.planned_s
+    share_inside = (inside - path.planned_s[steps]) / length[steps]
+    turning, share_turning = robot.places_in_turns(axes)
 
-    at = np.concatenate([path.planned_s, inside])
-    step = np.concatenate([np.arange(n), steps])
-    length = path.planned_s[np.minimum(step + 1, n - 1)] - path.planned_s[step]
-    share_planned = np.divide(at - path.planned_s[step], length, out=np.zeros(at.size), where=length > 0)
+    step = np.concatenate([np.arange(n), steps, turning])
+    share_planned = np.concatenate([np.zeros(n), share_inside, share_turning])
     order = np.argsort(step + share_planned, kind="stable")
-    at, step = at[order], step[order]
-    rounded = path.rounded_at(at)
-    way = path.rounded_s[np.minimum(step + 1, n - 1)] - path.rounded_s[step]
-    share = np.divide(rounded - path.rounded_s[step], way, out=np.zeros(at.size), where=way > 0)
-    after = np.minimum(step + 1, n - 1)
-    time = clock[step] + share * (clock[after] - clock[step])
-    tilts = tilt[step] + share * (tilt[after] - tilt[step])
+    step, share_planned = step[order], share_planned[order]
+    at = path.planned_s[step] + share_planned * length[step]
+    way = path.rounded_s[after[step]] - path.rounded_s[step]
+    gone = path.rounded_at(at) - path.rounded_s[step]
+    share = np.divide(gone, way, out=share_planned.copy(), where=way > 0)
+    time = clock[step] + share * (clock[after[step]] - clock[step])
     points = path.at(step, at)
-    side = np.cross(robot.rotation_vector, robot.rest_axis)
-    drill = np.cos(tilts)[:, None] * robot.rest_axis + np.sin(tilts)[:, None] * side
-    joints = robot.inverse(points, drill)
-    joints[:, 3] = tilts
+    joints = robot.inverse(points, turned(axes[step], axes[after[step]], share))
+    joints[:, 3] = np.unwrap(joints[:, 3])
     return JointTrajectory(time, joints, points, robot)
