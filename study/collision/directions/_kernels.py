@@ -25,9 +25,11 @@ from study.collision.exact._kernels import cylinder_overlaps_box
 
 UNIT = 0.1  # mm of the distance field's numbers
 MOST = 255
-LOOSEST = 0.3  # mm that a cone may widen the shaft by where voxels are looked up one by one
-WITNESSES = 64  # voxels compared for the one that blocks most
-REMOVED, REFRESHED, LISTED, WITNESSED = 0, 1, 2, 3  # entries of `counts`
+LOOSEST = 0.7  # mm that a cone may widen the shaft by where voxels are looked up one by one
+WITNESSES, FEW = 64, 0  # voxels compared for the one that blocks most: for a wide cone, for a small window
+STRUCK = np.int32(-(2**31))  # key of a direction that is off the list
+HEART = 0.49  # of a voxel's edge: the ball in its cube, less what float32 may round
+REMOVED, REFRESHED, WITNESSED = 0, 1, 2  # entries of `counts`
 
 
 class FreeSpace(NamedTuple):
@@ -37,10 +39,10 @@ class FreeSpace(NamedTuple):
     bits: np.ndarray  # uint64 [layer, depth, word]: the same, a bit a voxel
     distance: np.ndarray  # uint8, UNIT: at least so far from the voxel's centre to the nearest solid cube
     dirty: np.ndarray  # int64 (2, 3): box of the voxels removed since the field was last refreshed
-    counts: np.ndarray  # int64: voxels removed since then; refreshments; lengths of the next lists
-    listed: np.ndarray  # int32 (n,): directions a search has still to look at
-    nearness: np.ndarray  # float32 (n,): cosine of their angle to the direction sought
-    witnesses: np.ndarray  # int32 (n,): flat indices of the voxels that blocked those looked at
+    counts: np.ndarray  # int64: voxels removed since then; refreshments; witnesses of the last search
+    rays: np.ndarray  # float32 (3, n): `directions` by component
+    keys: np.ndarray  # int32 (n,): 1e9 x cosine to the direction sought while still listed, else STRUCK
+    witnesses: np.ndarray  # int32 (2 n,): flat indices of the voxels that bar the directions struck off
     cylinders: np.ndarray  # float64 (3, 3): radius, start, end in mm, widened by the sweep
     steps: np.ndarray  # float64 (3,) mm
     burr_radius: float  # mm
@@ -262,21 +264,40 @@ def _piece_is_free(space, at, u, radius, start, end, t0, t1, more, hit):
     shape = space.solid.shape
     a0, z0 = at[0] + u[0] * t0, at[0] + u[0] * t1
     a1, z1 = at[1] + u[1] * t0, at[1] + u[1] * t1
-    reach0 = radius * sqrt(max(0.0, 1.0 - u[0] * u[0])) + 0.5 * steps[0]
-    reach1 = radius * sqrt(max(0.0, 1.0 - u[1] * u[1])) + 0.5 * steps[1]
+    reach0 = radius * sqrt(u[1] * u[1] + u[2] * u[2]) + 0.5 * steps[0]
+    reach1 = radius * sqrt(u[0] * u[0] + u[2] * u[2]) + 0.5 * steps[1]
     i0, i1 = max(0, ceil((min(a0, z0) - reach0) / steps[0])), floor((max(a0, z0) + reach0) / steps[0])
     j0, j1 = max(0, ceil((min(a1, z1) - reach1) / steps[1])), floor((max(a1, z1) + reach1) / steps[1])
     i1, j1 = min(shape[0] - 1, i1), min(shape[1] - 1, j1)
     half = 0.5 * (steps[0] * abs(u[0]) + steps[1] * abs(u[1]) + steps[2] * abs(u[2]))
     bound = radius + 0.5 * sqrt(steps[0] * steps[0] + steps[1] * steps[1] + steps[2] * steps[2])
-    square = 1.0 - u[2] * u[2]
+    square = u[0] * u[0] + u[1] * u[1]
+    drift = sqrt(square) * end  # how far a shaft along the row may run aside of it
+    # Rows without a bit near the piece are most of them: a mask tells before any geometry.
+    a2, z2 = at[2] + u[2] * t0, at[2] + u[2] * t1
+    reach2 = radius * sqrt(square) + 0.5 * steps[2]
+    first = max(0, ceil((min(a2, z2) - reach2) / steps[2] - 1e-9))
+    last = min(shape[2] - 1, floor((max(a2, z2) + reach2) / steps[2] + 1e-9))
+    if first > last:
+        return True
+    first_mask, last_mask = ALL << np.uint64(first & 63), ALL >> np.uint64(63 - (last & 63))
     for i in range(i0, i1 + 1):
         p0 = i * steps[0] - at[0]
         for j in range(j0, j1 + 1):
+            bare = True
+            for w in range(first >> 6, (last >> 6) + 1):
+                word = space.bits[i, j, w]
+                if w == first >> 6:
+                    word &= first_mask
+                if w == last >> 6:
+                    word &= last_mask
+                bare &= word == 0
+            if bare:
+                continue
             p1 = j * steps[1] - at[1]
             # Voxels of this row with centres within `bound` of the axis and between the piece's ends.
             along, beside = p0 * u[0] + p1 * u[1], p0 * p0 + p1 * p1
-            low, high = -at[2], (shape[2] - 1) * steps[2] - at[2]
+            low, high = first * steps[2] - at[2], last * steps[2] - at[2]
             if square > 1e-9:
                 middle = along * u[2] / square
                 rest = middle * middle - (beside - along * along - bound * bound) / square
@@ -284,13 +305,13 @@ def _piece_is_free(space, at, u, radius, start, end, t0, t1, more, hit):
                     continue
                 rest = sqrt(rest)
                 low, high = max(low, middle - rest), min(high, middle + rest)
-            elif beside > bound * bound:
+            elif beside > (bound + drift) * (bound + drift):
                 continue
             if u[2] > 1e-9:
                 low, high = max(low, (t0 - half - along) / u[2]), min(high, (t1 + half - along) / u[2])
             elif u[2] < -1e-9:
                 low, high = max(low, (t1 + half - along) / u[2]), min(high, (t0 - half - along) / u[2])
-            elif along < t0 - half or along > t1 + half:
+            elif along < t0 - half - 1e-6 or along > t1 + half + 1e-6:
                 continue
             k0 = max(0, ceil((at[2] + low) / steps[2] - 1e-9))
             k1 = min(shape[2] - 1, floor((at[2] + high) / steps[2] + 1e-9))
@@ -402,7 +423,7 @@ def shaft_is_free(space, layer, depth, lateral, u0, u1, u2, spread, more, hit):
                     rho -= spread * step
                     step = sqrt(rho * rho - radius * radius) if rho > radius else 0.0
             if step < 0.25:
-                until = min(t + 2.0, end_all)
+                until = min(t + 1.5, end_all)
                 play = spread * (until + radius)
                 if play > LOOSEST:
                     return False  # so wide a cone is cheaper looked at in parts
@@ -425,7 +446,7 @@ def _heart_inside(space, p, square, u0, u1, u2):
     if t <= space.cylinders[0, 1]:
         return False
     off = square - t * t
-    heart = 0.4999 * min(space.steps[0], min(space.steps[1], space.steps[2]))
+    heart = HEART * min(space.steps[0], min(space.steps[1], space.steps[2]))
     for c in range(3):
         radius = space.cylinders[c, 0] + heart
         if off < radius * radius and space.cylinders[c, 1] < t < space.cylinders[c, 2]:
@@ -434,16 +455,73 @@ def _heart_inside(space, p, square, u0, u1, u2):
 
 
 @inner
-def search_from(space, u0, u1, u2):
-    """List the directions of the robot's cone with their nearness (cosine) to u, for `next_free`."""
-    n = space.directions.shape[0]
-    for m in range(n):
-        d = space.directions[m]
-        space.listed[m], space.nearness[m] = m, u0 * d[0] + u1 * d[1] + u2 * d[2]
-    space.counts[LISTED], space.counts[WITNESSED] = n, 0
+def _strike_off(keys, x, y, z, p0, p1, p2, square, s0, e0, r0, s1, e1, r1, s2, e2, r2):
+    """Strike the directions off the list whose shaft meets a ball at p: squares of radii, starts, ends.
+
+    Plain float32 and int32 without branches, so that the processor does many at once.
+    """
+    struck = 0
+    for m in range(keys.size):
+        t = p0 * x[m] + p1 * y[m] + p2 * z[m]
+        off = square - t * t
+        inside = (
+            ((off < r0) & (t > s0) & (t < e0))
+            | ((off < r1) & (t > s1) & (t < e1))
+            | ((off < r2) & (t > s2) & (t < e2))
+        )
+        key = keys[m]
+        now = STRUCK if inside else key
+        struck += now != key
+        keys[m] = now
+    return struck
 
 
 @inner
+def _testify(space, at, i, j, k, keys, rays):
+    """Let the solid voxel (i, j, k) bear witness: strike off `keys` what it blocks. How many it struck."""
+    f = np.float32
+    steps, c = space.steps, space.cylinders
+    p0, p1, p2 = i * steps[0] - at[0], j * steps[1] - at[1], k * steps[2] - at[2]
+    heart = HEART * min(steps[0], min(steps[1], steps[2]))
+    r0, r1, r2 = c[0, 0] + heart, c[1, 0] + heart, c[2, 0] + heart
+    return _strike_off(
+        keys, rays[0], rays[1], rays[2], f(p0), f(p1), f(p2),
+        f(p0 * p0 + p1 * p1 + p2 * p2), f(c[0, 1]), f(c[0, 2]), f(r0 * r0), f(c[1, 1]), f(c[1, 2]),
+        f(r1 * r1), f(c[2, 1]), f(c[2, 2]), f(r2 * r2),
+    )  # fmt: skip
+
+
+@kernel
+def search_from(space, layer, depth, lateral, u0, u1, u2):
+    """Begin a search at a position: list all directions of the robot's cone by their nearness to u.
+
+    The witnesses of the last search speak first: they mostly bar the neighbouring voxel too.
+    """
+    x, y, z, keys = space.rays[0], space.rays[1], space.rays[2], space.keys
+    a, b, c = np.float32(u0 * 1e9), np.float32(u1 * 1e9), np.float32(u2 * 1e9)
+    for m in range(keys.size):
+        keys[m] = np.int32(a * x[m] + b * y[m] + c * z[m])
+    steps, shape = space.steps, space.solid.shape
+    at = (layer * steps[0], depth * steps[1], lateral * steps[2])
+    before = space.counts[WITNESSED]
+    space.counts[WITNESSED] = 0
+    plane = shape[1] * shape[2]
+    clear = space.burr_radius + 0.5 * (steps[0] + steps[1] + steps[2])
+    for n in range(before):
+        flat = space.witnesses[n]
+        i = flat // plane
+        j = (flat - i * plane) // shape[2]
+        k = flat - i * plane - j * shape[2]
+        p0, p1, p2 = i * steps[0] - at[0], j * steps[1] - at[1], k * steps[2] - at[2]
+        # What the burr would remove here bears no witness.
+        if space.solid[i, j, k] == 0 or p0 * p0 + p1 * p1 + p2 * p2 < clear * clear:
+            continue
+        if _testify(space, at, i, j, k, keys, space.rays) > 0:
+            space.witnesses[space.counts[WITNESSED]] = flat
+            space.counts[WITNESSED] += 1
+
+
+@kernel
 def next_free(space, layer, depth, lateral, hit):
     """The nearest direction still listed that is free, or -1 when none is left; takes it off the list.
 
@@ -451,43 +529,33 @@ def next_free(space, layer, depth, lateral, hit):
     witnesses shut the whole cone. They are kept in `space.witnesses`: until one of them is milled no
     direction they shut comes free.
     """
-    steps, shape = space.steps, space.solid.shape
-    listed, nearness = space.listed, space.nearness
+    steps, shape, keys = space.steps, space.solid.shape, space.keys
     at = (layer * steps[0], depth * steps[1], lateral * steps[2])
-    left = space.counts[LISTED]
-    while left > 0:
-        best = 0
-        for a in range(1, left):
-            if nearness[a] > nearness[best]:
-                best = a
-        chosen = listed[best]
-        left -= 1
-        listed[best], nearness[best] = listed[left], nearness[left]
+    while True:
+        nearest = STRUCK
+        for m in range(keys.size):
+            nearest = max(nearest, keys[m])
+        if nearest == STRUCK:
+            return -1
+        chosen = 0
+        while keys[chosen] != nearest:
+            chosen += 1
+        keys[chosen] = STRUCK
         d = space.directions[chosen]
         if _ray_is_free(space, at, (d[0], d[1], d[2]), hit) and shaft_is_free(
             space, layer, depth, lateral, d[0], d[1], d[2], 0.0, WITNESSES, hit
         ):
-            space.counts[LISTED] = left
             return chosen
-        space.witnesses[space.counts[WITNESSED]] = (hit[0] * shape[1] + hit[1]) * shape[2] + hit[2]
-        space.counts[WITNESSED] += 1
-        p = (hit[0] * steps[0] - at[0], hit[1] * steps[1] - at[1], hit[2] * steps[2] - at[2])
-        square = p[0] * p[0] + p[1] * p[1] + p[2] * p[2]
-        kept = 0
-        for a in range(left):
-            d = space.directions[listed[a]]
-            if not _heart_inside(space, p, square, d[0], d[1], d[2]):
-                listed[kept], nearness[kept] = listed[a], nearness[a]
-                kept += 1
-        left = kept
-    space.counts[LISTED] = 0
-    return -1
+        _testify(space, at, hit[0], hit[1], hit[2], keys, space.rays)
+        if space.counts[WITNESSED] < space.witnesses.size:
+            space.witnesses[space.counts[WITNESSED]] = (hit[0] * shape[1] + hit[1]) * shape[2] + hit[2]
+            space.counts[WITNESSED] += 1
 
 
 @kernel
 def nearest_free(space, layer, depth, lateral, u0, u1, u2, hit):
     """Index of the free direction of the robot's cone that is nearest to u; -1 if none is free."""
-    search_from(space, u0, u1, u2)
+    search_from(space, layer, depth, lateral, u0, u1, u2)
     return next_free(space, layer, depth, lateral, hit)
 
 
@@ -512,35 +580,27 @@ def angles(u0, u1, u2):
 
 
 @inner
-def _settle_tile(space, layer, depth, lateral, tilts, tips, first, second, size, free, hit):
-    """Whether one look settles a square of directions: all free, or a single one."""
+def _settle_tile(space, layer, depth, lateral, tilts, tips, first, second, size, keys, hit):
+    """Settle a square tile of directions if one look does: 1 all free, 0 blocked or a witness found, -1 open."""
     a, z = tilts[first], tilts[first + size - 1]
     b, y = tips[second], tips[second + size - 1]
     u0, u1, u2 = direction(0.5 * (a + z), 0.5 * (b + y))
+    at = (layer * space.steps[0], depth * space.steps[1], lateral * space.steps[2])
+    if size > 1 and not _ray_is_free(space, at, (u0, u1, u2), hit):
+        return 0
     # Angles are never larger than lengths in the plane of tilt and tip.
     spread = 0.5 * sqrt((z - a) * (z - a) + (y - b) * (y - b))
-    if not shaft_is_free(space, layer, depth, lateral, u0, u1, u2, spread, 0, hit):
-        if size == 1:
-            free[first, second] = 0
-        return size == 1
+    if not shaft_is_free(space, layer, depth, lateral, u0, u1, u2, spread, FEW, hit):
+        if size > 1:
+            if shaft_is_free(space, layer, depth, lateral, u0, u1, u2, 0.0, WITNESSES, hit):
+                return -1
+            return 0
+        keys[first * tips.size + second] = STRUCK
+        return 0
     for m in range(first, first + size):
         for n in range(second, second + size):
-            free[m, n] = 1
-    return True
-
-
-@inner
-def _bear_witness(space, layer, depth, lateral, tilts, tips, free, hit):
-    """Mark the undecided directions that hold the centre of the voxel `hit` as blocked."""
-    steps = space.steps
-    p = ((hit[0] - layer) * steps[0], (hit[1] - depth) * steps[1], (hit[2] - lateral) * steps[2])
-    square = p[0] * p[0] + p[1] * p[1] + p[2] * p[2]
-    for m in range(tilts.size):
-        for n in range(tips.size):
-            if free[m, n] < 0:
-                u0, u1, u2 = direction(tilts[m], tips[n])
-                if _heart_inside(space, p, square, u0, u1, u2):
-                    free[m, n] = 0
+            keys[m * tips.size + n] = 1
+    return 1
 
 
 @kernel
@@ -548,41 +608,44 @@ def window_of_directions(space, layer, depth, lateral, tilts, tips, free):
     """Which directions of a square grid of tilts and tips (radians) are free; fills int8 `free` with 0 and 1.
 
     Tiles of directions are looked at together, halved or parted in three where that does not settle
-    them; a voxel that blocks is a witness against every direction that holds its centre. Returns how
-    many are free. Exact: the same answers as one look a direction.
+    them; a voxel that blocks is a witness against every direction it surely blocks. Returns how many
+    are free. Exact: the same answers as one look a direction.
     """
     n = tilts.size
     hit = np.zeros(3, np.int64)
-    for a in range(n):
-        for b in range(n):
-            free[a, b] = -1
+    at = (layer * space.steps[0], depth * space.steps[1], lateral * space.steps[2])
+    keys = np.zeros(n * n, np.int32)  # 0 open, 1 free, STRUCK blocked
+    rays = np.empty((3, n * n), np.float32)
+    listed = False
     size = n
     while True:
-        settled = True
         for a in range(0, n, size):
             for b in range(0, n, size):
                 open_directions = False
                 for x in range(a, a + size):
                     for y in range(b, b + size):
-                        open_directions |= free[x, y] < 0
+                        open_directions |= keys[x * n + y] == 0
                 if not open_directions:
                     continue
-                hit[0] = -1
-                if not _settle_tile(space, layer, depth, lateral, tilts, tips, a, b, size, free, hit):
-                    settled = False
-                if hit[0] >= 0:
-                    _bear_witness(space, layer, depth, lateral, tilts, tips, free, hit)
-        if settled:
+                if _settle_tile(space, layer, depth, lateral, tilts, tips, a, b, size, keys, hit) == 0:
+                    if not listed:
+                        listed = True
+                        for x in range(n):
+                            for y in range(n):
+                                u0, u1, u2 = direction(tilts[x], tips[y])
+                                m = x * n + y
+                                rays[0, m], rays[1, m], rays[2, m] = u0, u1, u2
+                    _testify(space, at, hit[0], hit[1], hit[2], keys, rays)
+        if size == 1:
             break
-        if size % 3 == 0 and size % 2 != 0:
-            size //= 3
-        elif size % 2 == 0:
+        if size % 2 == 0:
             size //= 2
         else:
-            size = 1
+            size = size // 3 if size % 3 == 0 else 1
     count = 0
     for a in range(n):
         for b in range(n):
+            free[a, b] = keys[a * n + b] == 1
             count += free[a, b]
     return count
 

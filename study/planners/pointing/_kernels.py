@@ -87,7 +87,7 @@ def start_window(sim, layer, depth, lateral):
     hit = np.empty(3, np.int64)
     if _is_shut(sim, layer, depth, lateral):
         return False, 0.0, 0.0
-    search_from(space, 0.0, -1.0, 0.0)
+    search_from(space, layer, depth, lateral, 0.0, -1.0, 0.0)
     m = next_free(space, layer, depth, lateral, hit)
     if m < 0:
         _shut(sim, layer, depth, lateral)
@@ -112,7 +112,7 @@ def _any_direction(sim, a, b, i, j, k, layer, depth, lateral):
         return False, 0.0, 0.0
     if shaft_is_free(space, layer, depth, lateral, u[0], u[1], u[2], 0.0, 0, hit):
         return True, a, b
-    search_from(space, u[0], u[1], u[2])
+    search_from(space, layer, depth, lateral, u[0], u[1], u[2])
     for tried in range(TRIES):
         m = next_free(space, layer, depth, lateral, hit)
         if m < 0:
@@ -313,7 +313,7 @@ def drop_inaccessible(space, modified):
                 d = space.directions[last]
                 if shaft_is_free(space, i, j, k, d[0], d[1], d[2], 0.0, 0, hit):
                     continue
-                search_from(space, 0.0, -1.0, 0.0)
+                search_from(space, i, j, k, 0.0, -1.0, 0.0)
                 m = next_free(space, i, j, k, hit)
                 if m < 0:
                     modified[i, j, k] = 0
