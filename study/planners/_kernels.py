@@ -76,7 +76,7 @@ def replay(solid, spacing, points, axes, removed, radius, cylinders, lever, hit)
             return WRONG_REMOVAL, row, n, poses
         if angle < 1e-7:  # rounding of a file's digits is no turn
             angle = 0.0
-        parts = max(1, ceil(length / voxel - 1e-6), ceil(angle / 0.00436))
+        parts = max(1, ceil(length / voxel - 1e-6), ceil(lever * angle / (0.72 * voxel)))
         h = (length + lever * angle) / parts
         for c in range(cylinders.shape[0]):
             wide[c, 0] = sqrt(cylinders[c, 0] ** 2 + 0.25 * h * h)

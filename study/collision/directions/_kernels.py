@@ -48,6 +48,7 @@ class FreeSpace(NamedTuple):
     burr_radius: float  # mm
     directions: np.ndarray  # float64 (n, 3): what the robot's cone is searched by, the approach first
     max_tilt: float  # radians from the approach
+    turn_step: float  # radians between the directions by which a turn in place is checked
     patience: int  # voxels that may be removed before the field is refreshed
 
 
@@ -581,7 +582,7 @@ def angles(u0, u1, u2):
 
 @inner
 def _settle_tile(space, layer, depth, lateral, tilts, tips, first, second, size, keys, hit):
-    """Settle a square tile of directions if one look does: 1 all free, 0 blocked or a witness found, -1 open."""
+    """Look at a square tile of directions: 1 all are free, 0 `hit` is a witness, -1 still open."""
     a, z = tilts[first], tilts[first + size - 1]
     b, y = tips[second], tips[second + size - 1]
     u0, u1, u2 = direction(0.5 * (a + z), 0.5 * (b + y))
@@ -652,30 +653,30 @@ def window_of_directions(space, layer, depth, lateral, tilts, tips, free):
 
 @kernel
 def turn_is_free(space, layer, depth, lateral, u0, u1, u2, v0, v1, v2, hit):
-    """Whether the shaft can turn in place from u to v along the great circle.
+    """Whether the shaft can turn in place from u, where it is free, to v along the great circle.
 
-    The arc is covered by cones, halved down to a quarter of a degree; False may be over-cautious by
-    what such a cone is wider than its arc.
+    Decided by single directions on the arc, at most `turn_step` apart, the arc being halved as often as
+    that takes: the widened cylinders leave no room for bone in between. Where a whole cone about a part
+    of the arc is free, its directions need not be looked at.
     """
-    cosine = min(1.0, max(-1.0, u0 * v0 + u1 * v1 + u2 * v2))
-    whole = acos(cosine)
+    whole = acos(min(1.0, max(-1.0, u0 * v0 + u1 * v1 + u2 * v2)))
     if whole < 1e-9:
         return True
-    at, size = 0.0, 1.0
     sine = sin(whole)
+    at, size = 0.0, 1.0
     while at < 1.0 - 1e-12:
-        middle = at + 0.5 * size
-        if sine > 1e-9:
-            p, q = sin((1.0 - middle) * whole) / sine, sin(middle * whole) / sine
-        else:
-            p, q = 1.0 - middle, middle
-        w0, w1, w2 = p * u0 + q * v0, p * u1 + q * v1, p * u2 + q * v2
-        if shaft_is_free(space, layer, depth, lateral, w0, w1, w2, 0.5 * size * whole, 0, hit):
+        single = size * whole <= space.turn_step
+        f = at + (size if single else 0.5 * size)
+        p, q = sin((1.0 - f) * whole) / sine, sin(f * whole) / sine
+        spread = 0.0 if single else 0.5 * size * whole
+        if shaft_is_free(
+            space, layer, depth, lateral, p * u0 + q * v0, p * u1 + q * v1, p * u2 + q * v2, spread, 0, hit
+        ):
             at += size
-            # The next cone may be twice as wide where the halving comes out even.
-            while size < 1.0 and at < 1.0 and (at / (2 * size)) == floor(at / (2 * size)):
+            # The next part may be twice as long where the halving comes out even.
+            while size < 1.0 and at < 1.0 and at / (2 * size) == floor(at / (2 * size)):
                 size *= 2
-        elif size * whole < 0.0044:
+        elif single:
             return False
         else:
             size *= 0.5

@@ -11,6 +11,9 @@ from study.collision.drill import Drill
 from study.errors import InputError
 
 SIGHT = 10.0  # mm up to which the distance field is exact; wider looks make longer steps in open air
+#: A turn is checked at directions so close that nothing the shaft can meet moves by more than this share
+#: of `sweep`. The replay of a plan uses steps of the same size, widened as well: 0.72^2 / 4 twice is 0.26.
+TURN_SHARE = 0.72
 PATIENCE = 4000  # voxels milled before the field is brought up to date; only the speed depends on it
 
 
@@ -96,6 +99,7 @@ def build_free_space(
     shape = np.array(solid.shape, np.int64)
     _kernels.raise_distance(solid, steps, distance, np.zeros(3, np.int64), shape, SIGHT)
     dirty = np.stack([shape, np.zeros(3, np.int64)])
+    lever = min(float(cylinders[-1, 2]), float(np.linalg.norm(shape * steps)))
     directions = cone_of_directions(max_tilt, spacing)
     n = len(directions)
     return _kernels.FreeSpace(
@@ -112,5 +116,6 @@ def build_free_space(
         burr_radius=float(drill.burr_radius),
         directions=directions,
         max_tilt=float(max_tilt),
+        turn_step=TURN_SHARE * sweep / lever,
         patience=PATIENCE,
     )
