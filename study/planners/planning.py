@@ -14,7 +14,7 @@ from study.collision import CanonicalFrame, Drill, build_shaft, canonical_frame,
 from study.collision.directions import build_free_space
 from study.collision.frame import check_direction, check_orthogonal
 from study.errors import IncompletePlanWarning, InputError, PlanningError, TargetUnreachableError
-from study.planners.fitness import compile_terms
+from study.planners.fitness import compile_terms, live_bone
 from study.planners.modified import ModifiedVolume, modified_volume
 from study.planners.plan import Plan
 from study.planners.pointing import _kernels as pointing
@@ -330,6 +330,7 @@ def _build(canonical: _Canonical, drill: Drill, settings: PlannerSettings):
         crowded=crowded,
         covers=covers,
         top=top,
+        live=live_bone(settings.terms, canonical.solid, frame, drill.burr_radius),
         element=element,
         top_rows=top_rows,
         sweep_first=swept[0],

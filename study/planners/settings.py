@@ -37,8 +37,8 @@ class PlannerSettings:
         is the odd number of voxels nearest to twice this, per axis: 5 at 0.4 mm.
     weights : FitnessWeights
         Of the five printed terms.
-    terms : tuple of study.planners.FitnessTerm
-        Further terms of the fitness, added to the five.
+    terms : tuple of study.planners.FitnessTerm, CuttingForce, IncidenceAngle
+        Further terms of the fitness, added to the five; 3-D only. See `study.planners.fitness`.
     max_tilt_deg : float
         Largest angle between shaft and approach axis: to both sides for 4 DOF, the cone's half angle for
         5. Not printed; 45 degrees.

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from study._compiled import kernel
+from study.planners.fitness._kernels import rank_candidates
 from study.planners.simulation.state._kernels import LEFT, ROWS
-from study.planners.strategies._kernels import begin, candidate_arrays, decide, rank_candidates
+from study.planners.strategies._kernels import begin, candidate_arrays, decide
 
 
 @kernel

@@ -93,11 +93,35 @@ def swept_parts(longest, steps, radius, offsets):
 
 
 @inner
-def _shift_top(top, top_rows, layer, depth, lateral, by):
-    for r in range(top_rows.shape[0]):
-        row = top[layer - top_rows[r, 0], depth - top_rows[r, 1]]
-        for m in range(lateral - top_rows[r, 2], lateral + top_rows[r, 2] + 1):
+def _shift(sums, rows, layer, depth, lateral, by):
+    # Every position whose rows hold the voxel.
+    for r in range(rows.shape[0]):
+        row = sums[layer - rows[r, 0], depth - rows[r, 1]]
+        for m in range(lateral - rows[r, 2], lateral + rows[r, 2] + 1):
             row[m] += by
+
+
+@inner
+def _shift_live(live, layer, depth, lateral, sign):
+    if live.load.size > 0:
+        _shift(
+            live.load, live.rows, layer, depth, lateral, np.int32(sign * live.density[layer, depth, lateral])
+        )
+    if live.ahead.size > 0:
+        _shift(live.ahead[0], live.rows, layer, depth, lateral, np.int32(sign))
+        _shift(live.ahead[1], live.rows, layer, depth, lateral, np.int32(sign * layer))
+        _shift(live.ahead[2], live.rows, layer, depth, lateral, np.int32(sign * depth))
+        _shift(live.ahead[3], live.rows, layer, depth, lateral, np.int32(sign * lateral))
+
+
+@kernel
+def count_live(solid, live):
+    """Fill the sums of `live`, which are zero, from the targeted bone."""
+    for layer in range(solid.shape[0]):
+        for d in range(solid.shape[1]):
+            for b in range(solid.shape[2]):
+                if solid[layer, d, b] == TARGET:
+                    _shift_live(live, layer, d, b, 1)
 
 
 @kernel
@@ -146,7 +170,8 @@ def count_covers(modified, allowed, reach, near, covers, crowded):
 def _mill(sim, layer, depth, lateral):
     sim.solid[layer, depth, lateral] = 0
     remove(sim, layer, depth, lateral)
-    _shift_top(sim.top, sim.top_rows, layer, depth, lateral, np.uint16(65535))  # minus one, modulo 2^16
+    _shift(sim.top, sim.top_rows, layer, depth, lateral, np.uint16(65535))  # minus one, modulo 2^16
+    _shift_live(sim.live, layer, depth, lateral, -1)
 
 
 @inner

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from math import hypot
-
-import numba as nb
 import numpy as np
 
 from study._compiled import inner, kernel
+from study.planners.fitness._kernels import rank_candidates
 from study.planners.freedom._kernels import (
     best_for_cut,
     passing,
@@ -31,96 +29,7 @@ from study.planners.motion._kernels import (
 from study.planners.simulation._kernels import mill_ball
 from study.planners.simulation.state._kernels import BOUNDARY, FULL, LEFT, ROWS, record
 
-TERM = nb.types.float64(
-    nb.types.float64, nb.types.float64, nb.types.float64, nb.types.float64, nb.types.float64
-)
-
-
-# --- the five terms of the fitness (2.4.1), each between 0 and 1 -------------------------------------
-
-
-@inner
-def keep_direction(heading_layer, heading_lateral, move_layer, move_lateral):
-    """(1) Preserve the current planar direction of movement: (1 + cosine) / 2; 1/2 without a direction."""
-    length = hypot(heading_layer, heading_lateral) * hypot(move_layer, move_lateral)
-    if length == 0.0:
-        return 0.5
-    return 0.5 + 0.5 * (heading_layer * move_layer + heading_lateral * move_lateral) / length
-
-
-@inner
-def coverage(covered, supervoxel_size):
-    """(2) Cover as many voxels as possible: share of the supervoxel that the step would clear."""
-    return covered / supervoxel_size
-
-
-@inner
-def on_boundary(label):
-    """(3) Put the supervoxel's centre on a target boundary voxel."""
-    return 1.0 if label == BOUNDARY else 0.0
-
-
-@inner
-def spare_top_half(targeted, top_half_size):
-    """(4) Little targeted bone in the outer half of the burr, which cuts badly."""
-    return 1.0 - targeted / top_half_size
-
-
-@inner
-def upward(rise, largest_rise):
-    """(5) Bias towards moving outwards."""
-    return 0.5 + 0.5 * rise / largest_rise
-
-
 # --- 3-D ------------------------------------------------------------------------------------------------
-
-
-@inner
-def rank_candidates(sim, burr, heading, weights, terms, candidates, scores):
-    """Candidate next positions within and next to the supervoxel (2.3.2), and their fitness (2.3.5).
-
-    `terms` is (n, weights, fields, four compiled functions): the user's own. Returns their number.
-    """
-    l0, d0, b0 = int(burr[0]), int(burr[1]), int(burr[2])
-    size = (2 * sim.reach[0] + 1) * (2 * sim.reach[1] + 1) * (2 * sim.reach[2] + 1)
-    top_size = 0
-    for r in range(sim.top_rows.shape[0]):
-        top_size += 2 * sim.top_rows[r, 2] + 1
-    largest_rise = (sim.reach[1] + 1) * sim.steps[1]
-    n_terms, term_weights, fields, f0, f1, f2, f3 = terms
-    n = 0
-    for i in range(l0 - sim.reach[0] - 1, l0 + sim.reach[0] + 2):
-        for j in range(d0 - sim.reach[1] - 1, d0 + sim.reach[1] + 2):
-            for k in range(b0 - sim.reach[2] - 1, b0 + sim.reach[2] + 2):
-                label = sim.modified[i, j, k]
-                if label == 0:
-                    continue
-                move_layer = (i - l0) * sim.steps[0]
-                rise = (d0 - j) * sim.steps[1]
-                move_lateral = (k - b0) * sim.steps[2]
-                covered = sim.covers[i, j, k] + (1 if label == BOUNDARY else 0)
-                score = (
-                    weights[0] * keep_direction(heading[0], heading[1], move_layer, move_lateral)
-                    + weights[1] * coverage(covered, size)
-                    + weights[2] * on_boundary(label)
-                    + weights[3] * spare_top_half(sim.top[i, j, k], top_size)
-                    + weights[4] * upward(rise, largest_rise)
-                )
-                for t in range(n_terms):
-                    here, there = fields[t, l0, d0, b0], fields[t, i, j, k]
-                    if t == 0:
-                        value = f0(here, there, move_layer, rise, move_lateral)
-                    elif t == 1:
-                        value = f1(here, there, move_layer, rise, move_lateral)
-                    elif t == 2:
-                        value = f2(here, there, move_layer, rise, move_lateral)
-                    else:
-                        value = f3(here, there, move_layer, rise, move_lateral)
-                    score += term_weights[t] * value
-                candidates[n, 0], candidates[n, 1], candidates[n, 2] = i, j, k
-                scores[n] = score
-                n += 1
-    return n
 
 
 @inner

@@ -13,6 +13,19 @@ UNMILLED, BOUNDARY = 1, 2  # values of `modified`; 0 is cleared or never targete
 ROWS, LEFT, DRAWN, FULL = 0, 1, 2, 3  # entries of `counters`
 
 
+class LiveBone(NamedTuple):
+    """Sums over the unmilled target that the burr overlaps, kept for every voxel it may stand at.
+
+    Whole numbers, so that taking voxels away one by one leaves exactly what counting again would give.
+    An array that no term of the fitness asks for has no elements.
+    """
+
+    rows: np.ndarray  # int64 (m, 3): layer, depth offset and lateral reach of the burr's rows
+    density: np.ndarray  # uint16 [layer, depth, lateral]: thousandths of the bone that counts as 1
+    load: np.ndarray  # int32 [layer, depth, lateral]: summed density
+    ahead: np.ndarray  # int32 [4, layer, depth, lateral]: voxels; sums of their layers, depths, laterals
+
+
 class Simulation(NamedTuple):
     """Everything that changes while a plan is made, in canonical order ``[layer, depth, lateral]``."""
 
@@ -22,6 +35,7 @@ class Simulation(NamedTuple):
     crowded: np.ndarray  # bool: the supervoxel here holds a voxel the burr may not stand at
     covers: np.ndarray  # uint16: unmilled, non-boundary voxels in the supervoxel centred here
     top: np.ndarray  # uint16: targeted bone in the outer half of the burr centred here
+    live: LiveBone
     element: np.ndarray  # int64 (n, 3): offsets of the voxels the burr overlaps
     top_rows: np.ndarray  # int64 (m, 3): layer, depth offset and lateral reach of the outer half's rows
     sweep_first: np.ndarray  # int64 [a, b, c, part]: where the voxels of a swept part start
