@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from study.cases import undercut
 from study.planners import plan_path
 from study.published import summary
 from study.robots import predict_milling
@@ -35,23 +36,6 @@ print(time.perf_counter() - clock)
 plan_path(volume, "zigzag")
 print(time.perf_counter() - clock)
 """
-
-
-def undercut(volume: LabelVolume, rim_mm: float = 4.0, hole_mm: float = 14.0) -> LabelVolume:
-    """The volume with an overhang: its outermost target is protected but for a round hole."""
-    target = volume.mask("target")
-    points = volume.points(np.argwhere(target))
-    from study.collision import find_approach
-
-    axis = np.round(find_approach(volume))
-    depth = points @ axis
-    outer = depth < np.quantile(depth, 0.02) + rim_mm
-    across = points - np.outer(points @ axis, axis)
-    aside = np.linalg.norm(across - np.median(across, axis=0), axis=1)
-    labels = volume.labels.copy()
-    lid = np.argwhere(target)[outer & (aside > hole_mm / 2)]
-    labels[tuple(lid.T)] = volume.names["protected"]
-    return volume.with_labels(labels)
 
 
 def cases(files: list[str]) -> list[tuple[str, LabelVolume]]:

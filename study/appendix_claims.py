@@ -238,10 +238,11 @@ def strategy_claims(rows: pd.DataFrame, printed: pd.DataFrame) -> list[Claim]:
     """
     n = len(rows)
     verified = int(rows["verified"].sum())
+    replayed = "No plan and no rounded path cuts" if "milling_path_length_mm" in rows else "No plan cuts"
     left = rows["modified_final_over_initial_ratio"]
     claims = [
         Claim(
-            "No plan and no rounded path cuts protected bone or drives the shaft into bone, by replay",
+            f"{replayed} protected bone or drives the shaft into bone, by replay",
             verified == n,
             f"{verified} of {n}",
             "measured",

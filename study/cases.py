@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from study.collision import find_approach
 from study.errors import InputError
 from study.paths import PROJECT
 from study.specimens import (
@@ -149,6 +150,51 @@ def parse_approach(text: str) -> np.ndarray | None:
     if values.shape != (3,) or not np.isfinite(values).all() or not values.any():
         raise InputError(f"approach: expected '' or three numbers such as '1 0 0', got {text!r}")
     return values
+
+
+def undercut(
+    volume: LabelVolume, rim_mm: float = 4.0, hole_mm: float = 14.0, approach: np.ndarray | None = None
+) -> LabelVolume:
+    """The volume with an overhang: its outermost target is protected but for a round hole.
+
+    Parameters
+    ----------
+    volume : LabelVolume
+        With air and target.
+    rim_mm : float
+        Depth of the overhang along the approach, from the outermost fiftieth of the target.
+    hole_mm : float
+        Diameter of the hole, around the median of the target.
+    approach : (3,) array, optional
+        Outside -> bone; found by `find_approach` and snapped to the grid when not given.
+
+    Returns
+    -------
+    LabelVolume
+
+    Raises
+    ------
+    InputError
+        If a size is not positive.
+    """
+    for name, value in (("rim_mm", rim_mm), ("hole_mm", hole_mm)):
+        if not (np.isfinite(value) and value > 0):
+            raise InputError(f"{name}: expected mm above 0, got {value}")
+    target = volume.mask("target")
+    points = volume.points(np.argwhere(target))
+    if approach is None:
+        along = volume.directions.T @ find_approach(volume)
+        nearest = int(np.argmax(np.abs(along)))
+        approach = np.sign(along[nearest]) * volume.directions[:, nearest]
+    depth = points @ approach
+    outer = depth < np.quantile(depth, 0.02) + rim_mm
+    across = points - np.outer(depth, approach)
+    aside = np.linalg.norm(across - np.median(across, axis=0), axis=1)
+    names = {"protected": max(volume.names.values()) + 1, **volume.names}
+    labels = volume.labels.copy()
+    lid = np.argwhere(target)[outer & (aside > hole_mm / 2)]
+    labels[tuple(lid.T)] = names["protected"]
+    return volume.with_labels(labels, names)
 
 
 def distance_from(mask: np.ndarray, spacing: np.ndarray, most_mm: float) -> np.ndarray:

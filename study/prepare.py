@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 import platform
 import sys
+from itertools import product
 
 import numba
 import numpy as np
@@ -21,7 +22,7 @@ from study.files import written_whole
 from study.paths import PROJECT, output_folder
 from study.planners import plan_path
 from study.planners.moments import moment, telling_row
-from study.planners.planning import STRATEGIES
+from study.planners.planning import DEGREES_OF_FREEDOM, STRATEGIES
 from study.robots import predict_milling
 from study.volumes import LabelVolume
 
@@ -57,11 +58,11 @@ def warm() -> None:
 
     Processes that fill numba's cache at the same time can break it, so this comes before any worker.
     """
-    for strategy in STRATEGIES:
-        plan = plan_path(tiny_volume(), strategy=strategy)
+    for strategy, dof in product(STRATEGIES, DEGREES_OF_FREEDOM):
+        plan = plan_path(tiny_volume(), strategy=strategy, dof=dof)
         plan.verify()
         predict_milling(plan, density=np.ones(plan.remaining.shape))
-        if strategy == "3d":
+        if (strategy, dof) == ("3d", 4):
             state = moment(plan, telling_row(plan))
             pose_is_free(state.shaft, *state.frame.from_indices(state.index[None])[0], state.tilt)
 

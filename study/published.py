@@ -35,6 +35,9 @@ _FACTORS = {("mm", "cm"): 10.0, ("mm/cm^3", "cm/cm^3"): 10.0}
 # (unit as printed, true unit): the number stands, the column's name has to change
 _RENAMED = {("cm^3", "mm^3"): ("_cm3", "_mm3")}
 
+#: Rows of tables A.3 and A.4 whose names are not the bones of tables A.1 and A.2 (finding E4).
+OTHER_BONES = ("CH17", "CH18", "CH19")
+
 
 @dataclass(frozen=True)
 class Fault:

@@ -1,6 +1,7 @@
 """Pictures in two dimensions: sections of volumes, windows, short paths, in one style and palette."""
 
 from study.plots.boundary import boundary_figure, mill_plane, pocket
+from study.plots.freedom import bone_by_bone, bone_left, degree_ratios, over_holes, shaft_directions
 from study.plots.modified import burr_and_voxels, dilation_into_air, modified_steps
 from study.plots.palette import STYLES, colour_of, style_of
 from study.plots.sections import Section, section
@@ -13,9 +14,12 @@ __all__ = [
     "STYLES",
     "Section",
     "accessible_window",
+    "bone_by_bone",
+    "bone_left",
     "boundary_figure",
     "burr_and_voxels",
     "colour_of",
+    "degree_ratios",
     "descending_path",
     "dilation_into_air",
     "flow_chart",
@@ -25,9 +29,11 @@ __all__ = [
     "modified_steps",
     "new_axes",
     "new_figure",
+    "over_holes",
     "patches",
     "pocket",
     "section",
+    "shaft_directions",
     "short_path_plane",
     "show_labels",
     "simulations_in_step",
