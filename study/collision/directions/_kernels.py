@@ -213,11 +213,17 @@ def _box_between_caps_overlaps(p, u, steps, radius):
             continue
         inside = False
         # The side of the hexagon that faces the axis: towards it with both other edges.
-        sb = -1.0 if (nb > 0) == (n0 > 0) else 1.0
-        sc = -1.0 if (nc > 0) == (n0 > 0) else 1.0
-        mx, my = cx + sb * gx[b] + sc * gx[c], cy + sb * gy[b] + sc * gy[c]
+        mx, my, reach = cx, cy, 1.0
+        for o, n in ((b, nb), (c, nc)):
+            other2 = gx[o] * gx[o] + gy[o] * gy[o]
+            if n * n <= 1e-24 * length2 * other2:
+                # Seen in line with this one: together they are one longer side.
+                reach += abs(gx[a] * gx[o] + gy[a] * gy[o]) / length2
+            else:
+                towards = -1.0 if (n > 0) == (n0 > 0) else 1.0
+                mx, my = mx + towards * gx[o], my + towards * gy[o]
         t = -(mx * gx[a] + my * gy[a]) / length2
-        t = min(1.0, max(-1.0, t))
+        t = min(reach, max(-reach, t))
         x, y = mx + t * gx[a], my + t * gy[a]
         if x * x + y * y < limit:
             return True
@@ -354,7 +360,8 @@ def _ray_is_free(space, at, u, hit):
     Where it does, `hit` gets a voxel that blocks many directions around this one too.
     """
     steps, shape = space.steps, space.solid.shape
-    t = space.burr_radius + 0.5 * (steps[0] + steps[1] + steps[2])  # clear of the voxels the burr overlaps
+    # A voxel on the axis from here on is clear of the burr: none is wider along any direction.
+    t = space.burr_radius + steps[0] + steps[1] + steps[2]
     while t < space.cylinders[2, 2]:
         x, y, z = at[0] + u[0] * t, at[1] + u[1] * t, at[2] + u[2] * t
         i, j, k = (
@@ -438,21 +445,6 @@ def shaft_is_free(space, layer, depth, lateral, u0, u1, u2, spread, more, hit):
 
 
 # --- many directions ---------------------------------------------------------------------------------------
-
-
-@inner
-def _heart_inside(space, p, square, u0, u1, u2):
-    """Whether the ball inside the cube of a voxel p mm from the burr meets the shaft along u."""
-    t = p[0] * u0 + p[1] * u1 + p[2] * u2
-    if t <= space.cylinders[0, 1]:
-        return False
-    off = square - t * t
-    heart = HEART * min(space.steps[0], min(space.steps[1], space.steps[2]))
-    for c in range(3):
-        radius = space.cylinders[c, 0] + heart
-        if off < radius * radius and space.cylinders[c, 1] < t < space.cylinders[c, 2]:
-            return True
-    return False
 
 
 @inner

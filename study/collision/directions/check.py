@@ -86,19 +86,29 @@ class DirectionCheck:
     def window(self, position: np.ndarray, tilts: np.ndarray, tips: np.ndarray) -> np.ndarray:
         """Which directions of a square grid are free: (n, n) bool for n tilts and n tips in radians.
 
-        A direction is (sin tip, -cos tip cos tilt, cos tip sin tilt) along the index axes.
+        A direction is (sin tip, -cos tip cos tilt, cos tip sin tilt) along the index axes. Tilts and
+        tips must not decrease.
         """
         tilts = np.ascontiguousarray(tilts, dtype=float)
         tips = np.ascontiguousarray(tips, dtype=float)
-        if tilts.ndim != 1 or tilts.shape != tips.shape:
+        if tilts.ndim != 1 or tilts.shape != tips.shape or not tilts.size:
             raise InputError(f"window: expected as many tilts as tips, got {tilts.shape} and {tips.shape}")
+        for name, angles in (("tilts", tilts), ("tips", tips)):
+            # A tile of directions is looked at between its first and last.
+            if not np.isfinite(angles).all() or (np.diff(angles) < 0).any():
+                raise InputError(f"window: expected finite {name} that do not decrease, got {angles}")
         free = np.empty((tilts.size, tips.size), np.int8)
         _kernels.window_of_directions(self.space, *self._position(position), tilts, tips, free)
         return free.astype(bool)
 
     def remove(self, voxels: np.ndarray) -> None:
         """Take (n, 3) voxels out of the bone."""
-        for i, j, k in np.asarray(voxels, dtype=np.int64).reshape(-1, 3):
+        voxels = np.asarray(voxels)
+        if voxels.ndim != 2 or voxels.shape[1] != 3 or not np.issubdtype(voxels.dtype, np.integer):
+            raise InputError(f"voxels: expected (n, 3) whole numbers, got {voxels.dtype} {voxels.shape}")
+        if ((voxels < 0) | (voxels >= self._solid.shape)).any():
+            raise InputError(f"voxels: expected indices inside {self._solid.shape}, got others")
+        for i, j, k in voxels:
             if self._solid[i, j, k]:
                 self._solid[i, j, k] = 0
                 _kernels.remove_voxel(self.space, i, j, k)

@@ -60,11 +60,13 @@ def cylinder_overlaps_box(centre, axis, radius, start, end, box_low, box_high):
         t[v] = p0 * axis[0] + p1 * axis[1] + p2 * axis[2]
         x[v] = p0 * e1[0] + p1 * e1[1] + p2 * e1[2]
         y[v] = p0 * e2[0] + p1 * e2[1] + p2 * e2[2]
+    if not (min(t) < end and max(t) > start):
+        return False  # at most touching a cap's plane
     hull_x = np.empty(32)
     hull_y = np.empty(32)
     n_hull = 0
     for v in range(8):
-        if start < t[v] < end:
+        if start <= t[v] <= end:
             hull_x[n_hull], hull_y[n_hull] = x[v], y[v]
             n_hull += 1
         for bit in (1, 2, 4):
