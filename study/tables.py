@@ -24,6 +24,7 @@ _UNITS = {  # ending of a column's name: unit; longest first
     "_ratio": "",
     "_cm3": "cm³",
     "_mm3": "mm³",
+    "_mm2": "mm²",
     "_pct": "%",
     "_deg": "°",
     "_min": "min",
