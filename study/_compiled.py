@@ -21,6 +21,9 @@ PACKAGE = Path(__file__).parent
 
 kernel = numba.njit(cache=True, no_cfunc_wrapper=True)
 inner = numba.njit(cache=True, no_cfunc_wrapper=True, no_cpython_wrapper=True)
+# Copied into its callers before they are compiled: a function of its own would carry all it calls along
+# through the optimiser once more. For thin functions over large ones.
+inlined = numba.njit(inline="always")
 
 
 def kernel_digest(package: Path = PACKAGE) -> str:

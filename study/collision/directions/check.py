@@ -46,6 +46,13 @@ class DirectionCheck:
         if not burr:
             self.space = self.space._replace(burr_radius=0.0)
 
+    def widened(self, by: float) -> DirectionCheck:
+        """The same bone for a drill whose cylinders are `by` mm thicker, and longer at both ends."""
+        other = object.__new__(DirectionCheck)
+        other.__dict__.update(self.__dict__)
+        other.space = self.space._replace(cylinders=self.space.cylinders + [by, -by, by])
+        return other
+
     def _position(self, position: np.ndarray) -> np.ndarray:
         position = np.asarray(position, dtype=float)
         if position.shape != (3,) or not np.isfinite(position).all():

@@ -13,10 +13,9 @@ from study.planners.pointing import _kernels as pointing
 from study.planners.tilting import _kernels as tilting
 
 
-def _answer(sim, name):
+def _kernels_for(sim):
     shaft = dict(zip(sim.fields, sim.types, strict=True))["shaft"]
-    kernels = tilting if shaft.instance_class.__name__ == "Shaft" else pointing
-    return getattr(kernels, name).py_func
+    return tilting if shaft.instance_class.__name__ == "Shaft" else pointing
 
 
 def remove(sim, layer, depth, lateral):
@@ -59,51 +58,61 @@ def best_for_cut(sim, burr, a, b, layer, depth, lateral):
     """The window by which to go to an accessible voxel: (a, b), or a better one for cutting there."""
 
 
-@overload(remove)
+@overload(remove, inline="always")
 def _remove(sim, layer, depth, lateral):
-    return _answer(sim, "remove")
+    answer = _kernels_for(sim).remove
+    return lambda sim, layer, depth, lateral: answer(sim, layer, depth, lateral)
 
 
-@overload(keep_up)
+@overload(keep_up, inline="always")
 def _keep_up(sim):
-    return _answer(sim, "keep_up")
+    answer = _kernels_for(sim).keep_up
+    return lambda sim: answer(sim)
 
 
-@overload(start_window)
+@overload(start_window, inline="always")
 def _start_window(sim, layer, depth, lateral):
-    return _answer(sim, "start_window")
+    answer = _kernels_for(sim).start_window
+    return lambda sim, layer, depth, lateral: answer(sim, layer, depth, lateral)
 
 
-@overload(window_from)
+@overload(window_from, inline="always")
 def _window_from(sim, a, b, i, j, k, layer, depth, lateral):
-    return _answer(sim, "window_from")
+    answer = _kernels_for(sim).window_from
+    return lambda sim, a, b, i, j, k, layer, depth, lateral: answer(sim, a, b, i, j, k, layer, depth, lateral)
 
 
-@overload(search_window)
+@overload(search_window, inline="always")
 def _search_window(sim, a, b, i, j, k, layer, depth, lateral):
-    return _answer(sim, "search_window")
+    answer = _kernels_for(sim).search_window
+    return lambda sim, a, b, i, j, k, layer, depth, lateral: answer(sim, a, b, i, j, k, layer, depth, lateral)
 
 
-@overload(passing)
+@overload(passing, inline="always")
 def _passing(sim, burr, a, b):
-    return _answer(sim, "passing")
+    answer = _kernels_for(sim).passing
+    return lambda sim, burr, a, b: answer(sim, burr, a, b)
 
 
-@overload(turn)
+@overload(turn, inline="always")
 def _turn(sim, burr, tilt, tip):
-    return _answer(sim, "turn")
+    answer = _kernels_for(sim).turn
+    return lambda sim, burr, tilt, tip: answer(sim, burr, tilt, tip)
 
 
-@overload(position_is_free)
+@overload(position_is_free, inline="always")
 def _position_is_free(sim, layer, depth, lateral, tilt, tip):
-    return _answer(sim, "position_is_free")
+    answer = _kernels_for(sim).position_is_free
+    return lambda sim, layer, depth, lateral, tilt, tip: answer(sim, layer, depth, lateral, tilt, tip)
 
 
-@overload(window_around)
+@overload(window_around, inline="always")
 def _window_around(sim, tilt, tip, layer, depth, lateral):
-    return _answer(sim, "window_around")
+    answer = _kernels_for(sim).window_around
+    return lambda sim, tilt, tip, layer, depth, lateral: answer(sim, tilt, tip, layer, depth, lateral)
 
 
-@overload(best_for_cut)
+@overload(best_for_cut, inline="always")
 def _best_for_cut(sim, burr, a, b, layer, depth, lateral):
-    return _answer(sim, "best_for_cut")
+    answer = _kernels_for(sim).best_for_cut
+    return lambda sim, burr, a, b, layer, depth, lateral: answer(sim, burr, a, b, layer, depth, lateral)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from study._compiled import inner, kernel
+from study._compiled import inlined, inner, kernel
 from study.collision.directions._kernels import (
     REMOVED,
     WITNESSED,
@@ -40,12 +40,12 @@ class Pointing(NamedTuple):
     grounds: np.ndarray  # int32: [0] the next place; then lists, each a length and so many flat indices
 
 
-@inner
+@inlined
 def remove(sim, layer, depth, lateral):
     remove_voxel(sim.shaft.space, layer, depth, lateral)
 
 
-@inner
+@inlined
 def keep_up(sim):
     if sim.shaft.space.counts[REMOVED] >= sim.shaft.space.patience:
         refresh(sim.shaft.space, 4.0, 6.0)
@@ -87,8 +87,8 @@ def start_window(sim, layer, depth, lateral):
     hit = np.empty(3, np.int64)
     if _is_shut(sim, layer, depth, lateral):
         return False, 0.0, 0.0
-    search_from(space, layer, depth, lateral, 0.0, -1.0, 0.0)
-    m = next_free(space, layer, depth, lateral, hit)
+    search_from(space, float(layer), float(depth), float(lateral), 0.0, -1.0, 0.0)
+    m = next_free(space, float(layer), float(depth), float(lateral), hit)
     if m < 0:
         _shut(sim, layer, depth, lateral)
         return False, 0.0, 0.0
@@ -97,9 +97,9 @@ def start_window(sim, layer, depth, lateral):
     return True, tilt, tip
 
 
-@inner
+@inlined
 def _can_turn(space, i, j, k, u, v, hit):
-    return turn_is_free(space, i, j, k, u[0], u[1], u[2], v[0], v[1], v[2], hit)
+    return turn_is_free(space, float(i), float(j), float(k), u[0], u[1], u[2], v[0], v[1], v[2], hit)
 
 
 @inner
@@ -110,11 +110,11 @@ def _any_direction(sim, a, b, i, j, k, layer, depth, lateral):
     u = direction(a, b)
     if _is_shut(sim, layer, depth, lateral):
         return False, 0.0, 0.0
-    if shaft_is_free(space, layer, depth, lateral, u[0], u[1], u[2], 0.0, 0, hit):
+    if shaft_is_free(space, float(layer), float(depth), float(lateral), u[0], u[1], u[2], 0.0, 0, hit):
         return True, a, b
-    search_from(space, layer, depth, lateral, u[0], u[1], u[2])
+    search_from(space, float(layer), float(depth), float(lateral), u[0], u[1], u[2])
     for tried in range(TRIES):
-        m = next_free(space, layer, depth, lateral, hit)
+        m = next_free(space, float(layer), float(depth), float(lateral), hit)
         if m < 0:
             if tried == 0:
                 _shut(sim, layer, depth, lateral)
@@ -135,7 +135,7 @@ def _window_of_directions(sim, a, b, i, j, k, layer, depth, lateral):
     for m in range(n):
         tilts[m], tips[m] = a + offsets[m], b + offsets[m]
     free = np.empty((n, n), np.int8)
-    window_of_directions(space, layer, depth, lateral, tilts, tips, free)
+    window_of_directions(space, float(layer), float(depth), float(lateral), tilts, tips, free)
     least = cos(space.max_tilt) - 1e-12
     count, middle_tilt, middle_tip = 0, 0.0, 0.0
     for x in range(n):
@@ -167,7 +167,7 @@ def _window_of_directions(sim, a, b, i, j, k, layer, depth, lateral):
     return False, 0.0, 0.0
 
 
-@inner
+@inlined
 def window_from(sim, a, b, i, j, k, layer, depth, lateral):
     if sim.shaft.published:
         return _window_of_directions(sim, a, b, i, j, k, layer, depth, lateral)
@@ -186,7 +186,9 @@ def search_window(sim, a, b, i, j, k, layer, depth, lateral):
         u, v = direction(a, b), direction(known[0], known[1])
         if not sim.shaft.published:
             # Keeping the direction beats turning to the known one, and turning there a search.
-            if shaft_is_free(space, layer, depth, lateral, u[0], u[1], u[2], 0.0, 0, hit):
+            if shaft_is_free(
+                space, float(layer), float(depth), float(lateral), u[0], u[1], u[2], 0.0, 0, hit
+            ):
                 known[0], known[1] = a, b
                 return True, a, b
             if _can_turn(space, i, j, k, u, v, hit):
@@ -221,14 +223,16 @@ def turn(sim, burr, tilt, tip):
     burr[3], burr[4] = tilt, tip
 
 
-@inner
+@inlined
 def position_is_free(sim, layer, depth, lateral, tilt, tip):
     u = direction(tilt, tip)
     hit = np.empty(3, np.int64)
-    return shaft_is_free(sim.shaft.space, layer, depth, lateral, u[0], u[1], u[2], 0.0, 0, hit)
+    return shaft_is_free(
+        sim.shaft.space, float(layer), float(depth), float(lateral), u[0], u[1], u[2], 0.0, 0, hit
+    )
 
 
-@inner
+@inlined
 def window_around(sim, tilt, tip, layer, depth, lateral):
     return position_is_free(sim, float(layer), float(depth), float(lateral), tilt, tip), tilt, tip
 
@@ -288,9 +292,9 @@ def best_for_cut(sim, burr, a, b, layer, depth, lateral):
         v = (c * u[0] + s * w0, c * u[1] + s * w1, c * u[2] + s * w2)
         if -v[1] < least or incidence(bone, v) < here + share * sim.shaft.least_gain:
             continue
-        if shaft_is_free(space, layer, depth, lateral, v[0], v[1], v[2], 0.0, 0, hit) and _can_turn(
-            space, i, j, k, u, v, hit
-        ):
+        if shaft_is_free(
+            space, float(layer), float(depth), float(lateral), v[0], v[1], v[2], 0.0, 0, hit
+        ) and _can_turn(space, i, j, k, u, v, hit):
             tilt, tip = angles(v[0], v[1], v[2])
             return tilt, tip
     return a, b
@@ -311,10 +315,10 @@ def drop_inaccessible(space, modified):
                 if modified[i, j, k] == 0:
                     continue
                 d = space.directions[last]
-                if shaft_is_free(space, i, j, k, d[0], d[1], d[2], 0.0, 0, hit):
+                if shaft_is_free(space, float(i), float(j), float(k), d[0], d[1], d[2], 0.0, 0, hit):
                     continue
-                search_from(space, i, j, k, 0.0, -1.0, 0.0)
-                m = next_free(space, i, j, k, hit)
+                search_from(space, float(i), float(j), float(k), 0.0, -1.0, 0.0)
+                m = next_free(space, float(i), float(j), float(k), hit)
                 if m < 0:
                     modified[i, j, k] = 0
                     dropped += 1

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from study._compiled import inner, kernel
+from study._compiled import inlined, inner, kernel
 from study.planners.fitness._kernels import rank_candidates
 from study.planners.freedom._kernels import (
     best_for_cut,
@@ -32,7 +32,7 @@ from study.planners.simulation.state._kernels import BOUNDARY, FULL, LEFT, ROWS,
 # --- 3-D ------------------------------------------------------------------------------------------------
 
 
-@inner
+@inlined
 def take_step(sim, burr, layer, depth, lateral):
     """Move to a candidate if it is accessible: straight, or by a short path where it is crowded (2.3)."""
     i, j, k = int(burr[0]), int(burr[1]), int(burr[2])
@@ -52,7 +52,7 @@ def can_start(sim, layer, depth, lateral):
     return start_window(sim, layer, depth, lateral)[0]
 
 
-@inner
+@inlined
 def begin(sim, burr, start):
     """Stand at the start voxel; False if it is not accessible."""
     free, a, b = start_window(sim, start[0], start[1], start[2])
@@ -79,7 +79,7 @@ def _walk_back(sim, burr, rows, to):
             turn(sim, burr, here[3], here[4])
 
 
-@inner
+@inlined
 def _stand_at(sim, row, pose):
     """Fill `pose` with a row of the path and the window around its tilt; False between voxels."""
     for n in range(5):
@@ -117,7 +117,7 @@ def relocate(sim, search, burr, goal):
         back *= 2
 
 
-@inner
+@inlined
 def return_home(sim, search, burr, start):
     """The way back to the start voxel (2.3.7); the way it came, reversed, if the search finds none."""
     if burr[0] == start[0] and burr[1] == start[1] and burr[2] == start[2]:
@@ -134,7 +134,7 @@ def candidate_arrays(sim):
     return np.empty((most, 3), np.int64), np.empty(most)
 
 
-@inner
+@inlined
 def decide(sim, search, burr, heading, weights, terms, candidates, scores):
     """One decision: the best accessible candidate, or a relocation; False when nothing is left to reach."""
     l0, b0 = burr[0], burr[2]
@@ -188,7 +188,7 @@ def _adjacent(burr, i, j, k):
     return abs(burr[0] - i) + abs(burr[1] - j) + abs(burr[2] - k) == 1
 
 
-@inner
+@inlined
 def _visit(sim, search, burr, i, j, k):
     """Step to a neighbouring voxel, or go to it the long way round."""
     if burr[0] == i and burr[1] == j and burr[2] == k:
