@@ -21,6 +21,7 @@ from study.errors import FileFormatError, InputError, PlanViolation, StudyError
 from study.paths import output_folder
 from study.planners import Plan, PlannerSettings, plan_path
 from study.planners.planning import STRATEGIES
+from study.prepare import load_kernels, warm
 from study.robots import FeedSettings, Motion, predict_milling
 from study.specimens import catalogue, specimen
 
@@ -65,7 +66,7 @@ def select_specimens(specimens: str) -> list[str]:
 
 
 def plan_specimen(name: str, strategy: str = "3d", dof: int = 4, seed: int = 0) -> Plan:
-    """Plan the milling of one specimen of the catalogue.
+    """Plan the milling of one specimen of the catalogue, compiled kernels loaded before.
 
     Parameters
     ----------
@@ -80,6 +81,7 @@ def plan_specimen(name: str, strategy: str = "3d", dof: int = 4, seed: int = 0) 
     -------
     Plan
     """
+    load_kernels(strategy, dof)
     try:
         volume = specimen(name).planning
         return plan_path(volume, strategy=strategy, dof=dof, settings=PlannerSettings(seed=seed))
@@ -152,9 +154,7 @@ def over_specimens(function, names: Sequence[str], workers: int = 0) -> list:
     progress = partial(tqdm, total=len(names), desc="specimens", leave=False, disable=silent)
     if workers == 1:
         return list(progress(map(function, names)))
-    from study.prepare import warm  # kernels are compiled once, before several processes would do it
-
-    warm()
+    warm()  # kernels are compiled once, before several processes would do it
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(workers, mp_context=context) as pool:
         return list(progress(pool.map(function, names)))

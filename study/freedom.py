@@ -20,6 +20,7 @@ from study.cases import load_case, undercut
 from study.errors import IncompletePlanWarning, InputError, PlanViolation, StudyError
 from study.planners import Plan, PlannerSettings, plan_path
 from study.planners.planning import STRATEGIES
+from study.prepare import load_kernels
 from study.robots import FiveAxis, predict_milling
 from study.robots.turns import angles_between
 from study.tables import t_interval
@@ -120,6 +121,7 @@ def freedom_plan(
     if planner not in PLANNERS:
         raise InputError(f"planner: expected one of {list(PLANNERS)}, got {planner!r}")
     dof, method = PLANNERS[planner]
+    load_kernels(strategy, dof)
     case = load_case(name)
     volume = undercut(case.planning, rim_mm, hole_mm, case.approach) if hole_mm else case.planning
     settings = PlannerSettings(method=method, seed=seed)

@@ -188,7 +188,8 @@ def draw_rows(rows: pd.DataFrame, printed: pd.DataFrame, strategy: str) -> Figur
         ax.set_ylim(bottom=0)
         ax.spines[["top", "right"]].set_visible(False)
     axes[0, 0].legend(frameon=False, loc="upper left")
-    figure.suptitle(f"{NAMES[strategy]} planner")
+    degrees = f", {rows['dof'].iloc[0]} degrees of freedom" if "dof" in rows else ""
+    figure.suptitle(f"{NAMES[strategy]} planner{degrees}")
     return figure
 
 

@@ -10,17 +10,20 @@ from __future__ import annotations
 import os
 import platform
 import sys
+from functools import cache
 from itertools import product
 
 import numba
 import numpy as np
 import yaml
 
+from study.collision import DirectionCheck, OctreeCheck
 from study.collision._kernels import pose_is_free
+from study.collision.exact._kernels import cylinder_overlaps_box
 from study.errors import InputError, StudyError
 from study.files import written_whole
 from study.paths import PROJECT, output_folder
-from study.planners import plan_path
+from study.planners import CuttingForce, IncidenceAngle, PlannerSettings, plan_path
 from study.planners.moments import moment, telling_row
 from study.planners.planning import DEGREES_OF_FREEDOM, STRATEGIES
 from study.robots import predict_milling
@@ -53,6 +56,12 @@ def tiny_volume() -> LabelVolume:
     return LabelVolume(labels, np.diag([0.4, 0.4, 0.4, 1.0]), {"air": 0, "protected": 1, "target": 2})
 
 
+@cache
+def load_kernels(strategy: str, dof: int) -> None:
+    """Plan something tiny, once a process: the time of the plan after it holds no loading of kernels."""
+    plan_path(tiny_volume(), strategy, dof)
+
+
 def warm() -> None:
     """Compile every kernel once.
 
@@ -65,6 +74,18 @@ def warm() -> None:
         if (strategy, dof) == ("3d", 4):
             state = moment(plan, telling_row(plan))
             pose_is_free(state.shaft, *state.frame.from_indices(state.index[None])[0], state.tilt)
+    volume = tiny_volume()
+    terms = (CuttingForce(1.0), IncidenceAngle(1.0))
+    plan_path(volume, settings=PlannerSettings(terms=terms))
+    check = DirectionCheck(~volume.mask("air"), volume.spacing)
+    check.is_free(np.zeros(3), np.array([0.0, -1.0, 0.0]))
+    check.window(np.zeros(3), np.zeros(2), np.zeros(2))
+    check.remove(np.argwhere(volume.mask("target"))[:1])
+    check.refresh()
+    cylinder_overlaps_box(np.zeros(3), np.array([0.0, -1.0, 0.0]), 1.0, 0.0, 2.0, np.zeros(3), np.ones(3))
+    solid = np.zeros((3, 3, 3), bool)
+    solid[1] = True
+    OctreeCheck(solid, volume.spacing).met(np.zeros(3), np.array([1.0, 0.0, 0.0]))
 
 
 def main() -> int:

@@ -9,7 +9,7 @@ import pytest
 
 from study import published
 from study.appendix import PRINTED, run_appendix, select_specimens
-from study.appendix_claims import bone_counted_cm3
+from study.appendix_claims import bone_counted_cm3, strategy_claims
 
 NAMES = select_specimens("8")
 
@@ -187,3 +187,11 @@ def test_every_row_with_5_dof_was_replayed(ours_5):
     for rows in ours_5.values():
         assert list(rows.index) == NAMES
         assert rows["verified"].all()
+
+
+@pytest.mark.parametrize("strategy", ["zigzag", "3d"])
+def test_what_can_be_said_of_one_planner_holds_with_4_and_5_dof(ours, ours_5, printed, printed_5, strategy):
+    for rows, beside, replayed in ((ours, printed, "rounded path"), (ours_5, printed_5, "No plan cuts")):
+        claims = strategy_claims(rows[strategy], beside[strategy])
+        assert all(claim.holds for claim in claims), [claim.text for claim in claims if not claim.holds]
+        assert replayed in claims[0].text
