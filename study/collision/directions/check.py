@@ -50,7 +50,7 @@ class DirectionCheck:
         """The same bone for a drill whose cylinders are `by` mm thicker, and longer at both ends."""
         other = object.__new__(DirectionCheck)
         other.__dict__.update(self.__dict__)
-        other.space = self.space._replace(cylinders=self.space.cylinders + [by, -by, by])
+        other.space = self.space._replace(cylinders=np.add(self.space.cylinders, [by, -by, by]))
         return other
 
     def _position(self, position: np.ndarray) -> np.ndarray:
