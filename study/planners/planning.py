@@ -366,6 +366,7 @@ def _shaft(canonical: _Canonical, drill: Drill, settings: PlannerSettings):
         published=settings.method == "published",
         offsets=np.linspace(-half, half, settings.window_samples),
         least_free=int(np.ceil(settings.free_share * settings.window_samples**2)),
+        cut_turn=float(np.deg2rad(settings.cut_turn_deg)),
         least_gain=float(settings.least_incidence_gain),
         shut=np.zeros(canonical.solid.size, np.int32),
         grounds=grounds,

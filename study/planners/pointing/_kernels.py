@@ -35,6 +35,7 @@ class Pointing(NamedTuple):
     published: bool  # look only at a small window of directions around the present one (2.3.3)
     offsets: np.ndarray  # float64 (n,) radians: the tilts and tips of that window
     least_free: int  # directions of the window that must be free
+    cut_turn: float  # radians that the shaft may turn at once only to cut better
     least_gain: float  # of the sine of the incidence angle, for a turn that only serves the cut
     shut: np.ndarray  # int32 over voxels: where in `grounds` the witnesses against them stand; 0 if none
     grounds: np.ndarray  # int32: [0] the next place; then lists, each a length and so many flat indices
@@ -286,11 +287,13 @@ def best_for_cut(sim, burr, a, b, layer, depth, lateral):
     i, j, k = int(burr[0]), int(burr[1]), int(burr[2])
     hit = np.empty(3, np.int64)
     least = cos(space.max_tilt)
-    for share in (1.0, 0.5):
-        angle = share * sim.shaft.max_rotation
+    # To the best angle of all that is in sight, or half or a quarter of the way.
+    whole = min(sim.shaft.cut_turn, acos(min(1.0, here)))
+    for share in (1.0, 0.5, 0.25):
+        angle = share * whole
         c, s = cos(angle), sin(angle) / length
         v = (c * u[0] + s * w0, c * u[1] + s * w1, c * u[2] + s * w2)
-        if -v[1] < least or incidence(bone, v) < here + share * sim.shaft.least_gain:
+        if -v[1] < least or incidence(bone, v) < here + sim.shaft.least_gain:
             continue
         if shaft_is_free(
             space, float(layer), float(depth), float(lateral), v[0], v[1], v[2], 0.0, 0, hit
