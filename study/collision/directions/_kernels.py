@@ -29,7 +29,7 @@ LOOSEST = 0.7  # mm that a cone may widen the shaft by where voxels are looked u
 WITNESSES, FEW = 64, 0  # voxels compared for the one that blocks most: for a wide cone, for a small window
 STRUCK = np.int32(-(2**31))  # key of a direction that is off the list
 HEART = 0.49  # of a voxel's edge: the ball in its cube, less what float32 may round
-REMOVED, REFRESHED, WITNESSED = 0, 1, 2  # entries of `counts`
+REMOVED, REFRESHED, WITNESSED, WINDOWS = 0, 1, 2, 3  # entries of `counts`
 
 
 class FreeSpace(NamedTuple):
@@ -39,7 +39,7 @@ class FreeSpace(NamedTuple):
     bits: np.ndarray  # uint64 [layer, depth, word]: the same, a bit a voxel
     distance: np.ndarray  # uint8, UNIT: at least so far from the voxel's centre to the nearest solid cube
     dirty: np.ndarray  # int64 (2, 3): box of the voxels removed since the field was last refreshed
-    counts: np.ndarray  # int64: voxels removed since then; refreshments; witnesses of the last search
+    counts: np.ndarray  # int64: removed since then; refreshments; witnesses of the last search; windows
     rays: np.ndarray  # float32 (3, n): `directions` by component
     keys: np.ndarray  # int32 (n,): 1e9 x cosine to the direction sought while still listed, else STRUCK
     witnesses: np.ndarray  # int32 (2 n,): flat indices of the voxels that bar the directions struck off
@@ -604,6 +604,7 @@ def window_of_directions(space, layer, depth, lateral, tilts, tips, free):
     them; a voxel that blocks is a witness against every direction it surely blocks. Returns how many
     are free. Exact: the same answers as one look a direction.
     """
+    space.counts[WINDOWS] += 1
     n = tilts.size
     hit = np.zeros(3, np.int64)
     at = (layer * space.steps[0], depth * space.steps[1], lateral * space.steps[2])

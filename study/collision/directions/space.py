@@ -107,7 +107,7 @@ def build_free_space(
         bits=bits,
         distance=distance,
         dirty=dirty,
-        counts=np.zeros(3, np.int64),
+        counts=np.zeros(4, np.int64),
         rays=np.ascontiguousarray(directions.T, dtype=np.float32),
         keys=np.empty(n, np.int32),
         witnesses=np.empty(2 * n, np.int32),
