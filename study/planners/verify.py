@@ -54,7 +54,7 @@ def verify_plan(plan: Plan) -> pd.Series:
     axes = np.ascontiguousarray(axes / norms[:, None])
     removed = plan.removed / volume.voxel_volume
     cylinders = np.array(plan.drill.cylinders)
-    corners = np.array([[0, 0, 0], np.array(volume.shape) - 1]) * spacing
+    corners = np.array([[-0.5] * 3, np.array(volume.shape) - 0.5]) * spacing
     farthest = np.linalg.norm(np.maximum(np.abs(points - corners[0]), np.abs(points - corners[1])), axis=1)
     lever = min(float(farthest.max()), float(cylinders[-1, 2]))
     hit = np.zeros(3, np.int64)

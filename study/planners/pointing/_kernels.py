@@ -54,7 +54,7 @@ def keep_up(sim):
 
 @inner
 def _is_shut(sim, layer, depth, lateral):
-    """Whether a voxel was found blocked from every direction, and what blocks it is still there."""
+    """Whether a voxel was found blocked from all directions of the search, and what blocks is still there."""
     space, grounds = sim.shaft.space, sim.shaft.grounds
     flat = (layer * space.solid.shape[1] + depth) * space.solid.shape[2] + lateral
     first = sim.shaft.shut[flat]
@@ -109,10 +109,11 @@ def _any_direction(sim, a, b, i, j, k, layer, depth, lateral):
     space = sim.shaft.space
     hit = np.empty(3, np.int64)
     u = direction(a, b)
-    if _is_shut(sim, layer, depth, lateral):
-        return False, 0.0, 0.0
+    # The present direction may lie between those of the search: what shuts these need not shut it.
     if shaft_is_free(space, float(layer), float(depth), float(lateral), u[0], u[1], u[2], 0.0, 0, hit):
         return True, a, b
+    if _is_shut(sim, layer, depth, lateral):
+        return False, 0.0, 0.0
     search_from(space, float(layer), float(depth), float(lateral), u[0], u[1], u[2])
     for tried in range(TRIES):
         m = next_free(space, float(layer), float(depth), float(lateral), hit)
