@@ -26,7 +26,8 @@ from benchmarks.planning import cases
 from study._compiled import kernel
 from study.collision import Drill
 from study.collision.directions import DirectionCheck
-from study.collision.directions import _kernels as fast
+from study.collision.directions.field._kernels import WINDOWS
+from study.collision.directions.search import _kernels as fast
 from study.collision.exact._kernels import drill_overlaps_voxels
 from study.collision.octree import OctreeCheck, surface_voxels
 from study.errors import IncompletePlanWarning
@@ -258,7 +259,7 @@ def windows_of_a_plan(volume: LabelVolume, strategy: str) -> tuple[int, float]:
         plan = plan_path(volume, strategy, 5, settings=PlannerSettings(method="published"))
     finally:
         planning._build = build
-    return int(kept[0][0].shaft.space.counts[fast.WINDOWS]), plan.planning_time_s
+    return int(kept[0][0].shaft.space.counts[WINDOWS]), plan.planning_time_s
 
 
 def main(files: list[str]) -> None:

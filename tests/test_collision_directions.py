@@ -7,7 +7,10 @@ from hypothesis import strategies as st
 from shaft_poses import Poses, ShaftCase, cases, disagreements, milled_bone, overlaps, poses, scattered, units
 
 from study.collision import Drill
-from study.collision.directions import DirectionCheck, _kernels, build_free_space
+from study.collision.directions import DirectionCheck, build_free_space
+from study.collision.directions.field import _kernels as field
+from study.collision.directions.search import _kernels as search
+from study.collision.directions.single import _kernels as single
 from study.collision.exact._kernels import cylinder_overlaps_box, drill_overlaps_voxels
 from study.collision.octree import OctreeCheck
 from study.errors import InputError
@@ -173,14 +176,14 @@ def test_a_cone_called_free_is_free_in_every_direction(seed):
         middle = grid_axes(rng.uniform(-0.7, 0.7, 1), rng.uniform(-0.7, 0.7, 1))[0, 0]
         spread = 10 ** rng.uniform(-3, -0.7)
         at = tuple(voxel + rng.choice([0.0, 0.5], 3))
-        if not _kernels.shaft_is_free(space, *at, *middle, spread, 0, hit):
+        if not single.shaft_is_free(space, *at, *middle, spread, 0, hit):
             continue
         aside = np.cross(units(rng, 60), middle)
         aside /= np.linalg.norm(aside, axis=1, keepdims=True)
         angles = spread * np.where(rng.random((60, 1)) < 0.5, 1.0, rng.random((60, 1)))
         axes = np.cos(angles) * middle + np.sin(angles) * aside
         free = np.empty(60, np.bool_)
-        _kernels.directions_free(space, *at, axes, free)
+        search.directions_free(space, *at, axes, free)
         assert free.all()
 
 
@@ -249,21 +252,21 @@ def test_the_nearest_free_direction_is_that_of_brute_force_while_bone_goes(seed,
     for voxel in np.concatenate([voxels, voxels[::-1]]):
         u = grid_axes(rng.uniform(-0.3, 0.3, 1), rng.uniform(-0.3, 0.3, 1))[0, 0]
         best, free = nearest_by_brute_force(space, solid, spacing, drill, voxel, u)
-        found = _kernels.nearest_free(space, *voxel, *u, hit)
+        found = search.nearest_free(space, *voxel, *u, hit)
         if best is None:
             assert found == -1
         else:
             assert found >= 0 and free[found]
             assert space.directions[found] @ u > best - 5e-7  # cosines are compared in float32
         rest = [found] if found >= 0 else []
-        while len(rest) < 4 and rest and (m := _kernels.next_free(space, *voxel, hit)) >= 0:
+        while len(rest) < 4 and rest and (m := search.next_free(space, *voxel, hit)) >= 0:
             assert free[m] and m not in rest
             rest.append(m)
         left = np.argwhere(solid)
         for i, j, k in left[rng.integers(len(left), size=200)]:
             if solid[i, j, k]:
                 solid[i, j, k] = 0
-                _kernels.remove_voxel(space, i, j, k)
+                field.remove_voxel(space, i, j, k)
 
 
 def test_bone_on_the_axis_that_the_burr_overlaps_strikes_no_direction_off():
@@ -276,7 +279,7 @@ def test_bone_on_the_axis_that_the_burr_overlaps_strikes_no_direction_off():
         space = build_free_space(solid, spacing, drill, np.deg2rad(1), sweep=0.0)
         for depth in np.arange(15.0, 16.0, 0.05):
             at = np.array([10.0, depth, 10.0])
-            found = _kernels.nearest_free(space, *at, *up, np.zeros(3, np.int64))
+            found = search.nearest_free(space, *at, *up, np.zeros(3, np.int64))
             outcomes.append(found == 0)
             assert outcomes[-1] == brute_free(solid, spacing, drill, at * spacing, up[None])[0]
     assert 0.2 < np.mean(outcomes) < 0.8
@@ -343,20 +346,20 @@ def test_the_distance_field_is_that_of_brute_force_rounded_down(seed, cap):
     true = brute_distance(solid, spacing)
     distance = np.zeros(tuple(shape), np.uint8)
     low, high = np.zeros(3, np.int64), shape.astype(np.int64)
-    _kernels.raise_distance(solid, spacing, distance, low, high, cap)
-    read = distance * _kernels.UNIT
+    field.raise_distance(solid, spacing, distance, low, high, cap)
+    read = distance * field.UNIT
     assert (read <= true).all()
-    assert (read > np.minimum(true, cap) - _kernels.UNIT - 1e-5).all()
+    assert (read > np.minimum(true, cap) - field.UNIT - 1e-5).all()
     # A box is brought up to date alone, and nothing is ever lowered.
     solid[rng.random(shape) < 0.5] = 0
     low = rng.integers(0, shape)
     high = np.array([rng.integers(a + 1, n + 1) for a, n in zip(low, shape, strict=True)])
     box = tuple(slice(a, z) for a, z in zip(low, high, strict=True))
     old = distance.copy()
-    _kernels.raise_distance(solid, spacing, distance, low, high, cap)
-    true, read = brute_distance(solid, spacing), distance * _kernels.UNIT
+    field.raise_distance(solid, spacing, distance, low, high, cap)
+    true, read = brute_distance(solid, spacing), distance * field.UNIT
     assert (read <= true).all() and (distance >= old).all()
-    assert (read[box] > np.minimum(true, cap)[box] - _kernels.UNIT - 1e-5).all()
+    assert (read[box] > np.minimum(true, cap)[box] - field.UNIT - 1e-5).all()
     outside = np.ones(tuple(shape), bool)
     outside[box] = False
     np.testing.assert_array_equal(distance[outside], old[outside])
@@ -387,10 +390,10 @@ def test_a_turn_called_free_is_free_all_along_the_arc(seed):
     hit, turns = np.zeros(3, np.int64), 0
     for voxel in near_bone(rng, solid, 60):
         u, v = grid_axes(rng.uniform(-0.7, 0.7, 2), rng.uniform(-0.7, 0.7, 2))[[0, 1], [0, 1]]
-        if not _kernels.shaft_is_free(space, *voxel, *u, 0.0, 0, hit):
+        if not single.shaft_is_free(space, *voxel, *u, 0.0, 0, hit):
             continue
-        free = _kernels.turn_is_free(space, *voxel, *u, *v, hit)
-        assert free == _kernels.turn_is_free(blind, *voxel, *u, *v, hit)  # however stale the field
+        free = single.turn_is_free(space, *voxel, *u, *v, hit)
+        assert free == single.turn_is_free(blind, *voxel, *u, *v, hit)  # however stale the field
         whole = np.arccos(u @ v)
         f = np.linspace(0, whole, 20 * int(np.ceil(whole / space.turn_step)) + 1)[:, None]
         arc = (np.sin(whole - f) * u + np.sin(f) * v) / np.sin(whole)
@@ -399,7 +402,7 @@ def test_a_turn_called_free_is_free_all_along_the_arc(seed):
             assert bare.free(voxel * spacing, arc / np.linalg.norm(arc, axis=1, keepdims=True)).all()
         else:  # and is refused only where the widened shaft is barred somewhere
             wide = np.empty(len(arc), np.bool_)
-            _kernels.directions_free(space, *voxel, arc, wide)
+            search.directions_free(space, *voxel, arc, wide)
             assert not wide.all()
     assert turns > 0
 
@@ -413,11 +416,11 @@ def test_a_turn_over_a_single_thin_obstacle_is_refused():
     hit = np.zeros(3, np.int64)
     for degrees, expected in ((60.0, False), (30.0, False)):
         u, v = grid_axes(np.deg2rad([-degrees, degrees]), np.zeros(2))[:, 0]
-        assert _kernels.shaft_is_free(space, 20, 30, 20, *u, 0.0, 0, hit)
-        assert _kernels.shaft_is_free(space, 20, 30, 20, *v, 0.0, 0, hit)
-        assert _kernels.turn_is_free(space, 20, 30, 20, *u, *v, hit) == expected
+        assert single.shaft_is_free(space, 20, 30, 20, *u, 0.0, 0, hit)
+        assert single.shaft_is_free(space, 20, 30, 20, *v, 0.0, 0, hit)
+        assert single.turn_is_free(space, 20, 30, 20, *u, *v, hit) == expected
     u, v = grid_axes(np.deg2rad([30.0, 40.0]), np.zeros(2))[:, 0]
-    assert _kernels.turn_is_free(space, 20, 30, 20, *u, *v, hit)
+    assert single.turn_is_free(space, 20, 30, 20, *u, *v, hit)
 
 
 # Use

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from study.collision.directions import _kernels
+from study.collision.directions.field import _kernels as field
+from study.collision.directions.search import _kernels as search
 from study.collision.directions.space import build_free_space
 from study.collision.drill import Drill
 from study.errors import InputError
@@ -87,7 +88,7 @@ class DirectionCheck:
         """Which of many directions are free at one position: (n,) bool for (n, 3) unit vectors."""
         at, axes = self._position(position), self._axes(axes)
         out = np.empty(len(axes), np.bool_)
-        _kernels.directions_free(self.space, *at, axes, out)
+        search.directions_free(self.space, *at, axes, out)
         return out
 
     def window(self, position: np.ndarray, tilts: np.ndarray, tips: np.ndarray) -> np.ndarray:
@@ -105,7 +106,7 @@ class DirectionCheck:
             if not np.isfinite(angles).all() or (np.diff(angles) < 0).any():
                 raise InputError(f"window: expected finite {name} that do not decrease, got {angles}")
         free = np.empty((tilts.size, tips.size), np.int8)
-        _kernels.window_of_directions(self.space, *self._position(position), tilts, tips, free)
+        search.window_of_directions(self.space, *self._position(position), tilts, tips, free)
         return free.astype(bool)
 
     def remove(self, voxels: np.ndarray) -> None:
@@ -118,8 +119,8 @@ class DirectionCheck:
         for i, j, k in voxels:
             if self._solid[i, j, k]:
                 self._solid[i, j, k] = 0
-                _kernels.remove_voxel(self.space, i, j, k)
+                field.remove_voxel(self.space, i, j, k)
 
     def refresh(self) -> None:
         """Bring the distance field up to date. Changes no answer, only how fast it comes."""
-        _kernels.refresh(self.space, 4.0, 6.0)
+        field.refresh(self.space, 4.0, 6.0)

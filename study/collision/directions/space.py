@@ -6,7 +6,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from study.collision.directions import _kernels
+from study.collision.directions.field import _kernels
 from study.collision.drill import Drill
 from study.errors import InputError
 
@@ -14,6 +14,7 @@ SIGHT = 10.0  # mm up to which the distance field is exact; wider looks make lon
 #: A turn is checked at directions so close that nothing the shaft can meet moves by more than this share
 #: of `sweep`. The replay of a plan uses steps of the same size, widened as well: 0.72^2 / 4 twice is 0.26.
 TURN_SHARE = 0.72
+LEAST_TURN = 1e-4  # radians, where there is no sweep to share
 PATIENCE = 4000  # voxels milled before the field is brought up to date; only the speed depends on it
 
 
@@ -85,7 +86,7 @@ def build_free_space(
 
     Returns
     -------
-    study.collision.directions._kernels.FreeSpace
+    study.collision.directions.field._kernels.FreeSpace
     """
     steps = np.ascontiguousarray(steps, dtype=float)
     sweep = float(np.linalg.norm(steps)) if sweep is None else float(sweep)
@@ -116,6 +117,6 @@ def build_free_space(
         burr_radius=float(drill.burr_radius),
         directions=directions,
         max_tilt=float(max_tilt),
-        turn_step=TURN_SHARE * sweep / lever,
+        turn_step=max(TURN_SHARE * sweep / lever, LEAST_TURN),
         patience=PATIENCE,
     )

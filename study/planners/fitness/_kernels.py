@@ -7,7 +7,7 @@ from math import hypot, sqrt
 import numba as nb
 
 from study._compiled import inner
-from study.collision.directions._kernels import direction
+from study.collision.directions.single._kernels import direction
 from study.planners.pointing._kernels import incidence
 from study.planners.simulation.state._kernels import BOUNDARY
 

@@ -8,20 +8,15 @@ from typing import NamedTuple
 import numpy as np
 
 from study._compiled import inlined, inner, kernel
-from study.collision.directions._kernels import (
+from study.collision.directions.field._kernels import (
     REMOVED,
     WITNESSED,
     FreeSpace,
-    angles,
-    direction,
-    next_free,
     refresh,
     remove_voxel,
-    search_from,
-    shaft_is_free,
-    turn_is_free,
-    window_of_directions,
 )
+from study.collision.directions.search._kernels import next_free, search_from, window_of_directions
+from study.collision.directions.single._kernels import angles, direction, shaft_is_free, turn_is_free
 from study.planners.simulation.state._kernels import TARGET, record
 
 TRIES = 12  # free directions of a voxel to which a turn is tried

@@ -1,0 +1,1 @@
+"""Unmilled bone as rows of bits and as a distance field."""

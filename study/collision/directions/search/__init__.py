@@ -1,0 +1,1 @@
+"""Which directions of a cone or a window are free?"""

@@ -1,0 +1,1 @@
+"""Is the shaft free from one direction, and on a turn between two?"""
