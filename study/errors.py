@@ -32,6 +32,10 @@ class TargetUnreachableError(PlanningError):
     """No burr position inside the target can be reached from outside."""
 
 
+class MarginError(StudyError, RuntimeError):
+    """No margin with an acceptable risk can be grown."""
+
+
 class PlanViolation(StudyError, RuntimeError):  # noqa: N818 - the violation is what the name says
     """A replayed plan cuts protected bone or drives the shaft into bone."""
 

@@ -1,0 +1,1 @@
+"""Compiled search for the surface corner that is nearest in a voxel's own metric."""

@@ -1,0 +1,158 @@
+"""Growing a safety margin around a structure (Siebold, chapter 3)."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+
+import numpy as np
+
+from study.errors import InputError, LabelError
+from study.margins.exact import first_cut, needed_ranks
+from study.margins.margin import SafetyMargin
+from study.margins.order_statistics import allowed_hits
+from study.margins.overall_risk import RiskEstimate, largest_values, ranked_corners
+from study.margins.point_risk import euclidean
+from study.margins.published import grow_as_published, risk_of
+from study.margins.region import Region, checked_structure, edge_share, reach_of
+from study.margins.settings import ACCEPTABLE_RISKS, SHAPES, GrowthSettings, checked_share
+from study.registration.sources import ErrorSource, checked_transforms, displacement_moments
+from study.volumes import LabelVolume
+
+
+def grow_margin(
+    volume: LabelVolume,
+    structure: str | Sequence[str] | np.ndarray,
+    model: ErrorSource,
+    acceptable_risk: float | None = None,
+    shape: str = "spatially_varying",
+    settings: GrowthSettings | None = None,
+    rng: object = None,
+    name: str | None = None,
+) -> SafetyMargin:
+    """The tissue around a structure that keeps the overall damage risk acceptable.
+
+    Parameters
+    ----------
+    volume : LabelVolume
+    structure : str, sequence of str or (nx, ny, nz) bool array
+        One label, several that are one structure together, or a mask.
+    model : ErrorSource
+        What moves the patient against the plan, such as `study.registration.PointRegistration`.
+    acceptable_risk : float, optional
+        Overall damage risk that is accepted; between 0 and 1. The printed one of the structure by default
+        (3.3.1), if it is one of the five.
+    shape : {"spatially_varying", "constant_thickness"}
+        Voxels enter the margin by their point damage risk, or by their distance in mm.
+    settings : GrowthSettings, optional
+    rng : anything `numpy.random.default_rng` takes
+    name : str, optional
+        What to call a structure given as mask or in several labels.
+
+    Returns
+    -------
+    SafetyMargin
+
+    Raises
+    ------
+    LabelError
+        If the structure is not in the volume.
+    InputError
+        If it has too few voxels, the risk is not between 0 and 1, there are too few registrations for the
+        confidence, or the model cannot be drawn from.
+    MarginError
+        If the published method stalls.
+    """
+    begun = time.perf_counter()
+    settings = settings or GrowthSettings()
+    if shape not in SHAPES:
+        raise InputError(f"shape: expected one of {SHAPES}, got {shape!r}")
+    mask, name = _mask_of(volume, structure, name)
+    if acceptable_risk is None:
+        if name not in ACCEPTABLE_RISKS:
+            raise InputError(
+                f"acceptable_risk: expected a number for {name!r}; there are printed ones for "
+                f"{sorted(ACCEPTABLE_RISKS)}"
+            )
+        acceptable_risk = ACCEPTABLE_RISKS[name]
+    checked_share("acceptable_risk", acceptable_risk)
+    growing, validating = np.random.default_rng(rng).spawn(2)
+    moments = displacement_moments(model)
+    metric = moments if shape == "spatially_varying" else euclidean()
+    given = (volume, mask, model, metric, acceptable_risk, settings)
+    if settings.method == "published":
+        found = _published(*given, settings.decay_start_of(name), growing, validating)
+    else:
+        allowed = allowed_hits(settings.registrations, acceptable_risk, settings.confidence)
+        found = _exact(*given, moments, allowed, growing, validating)
+    return SafetyMargin(
+        structure=name,
+        volume=volume,
+        structure_mask=mask,
+        model=model,
+        acceptable_risk=acceptable_risk,
+        shape=shape,
+        settings=settings,
+        edge_share=edge_share(mask),
+        time_s=time.perf_counter() - begun,
+        **found,
+    )
+
+
+def _mask_of(
+    volume: LabelVolume, structure: str | Sequence[str] | np.ndarray, name: str | None
+) -> tuple[np.ndarray, str]:
+    if isinstance(structure, np.ndarray) and structure.dtype != object and structure.dtype.kind not in "US":
+        name = name or "structure"
+        return checked_structure(structure, name, volume), name
+    names = (structure,) if isinstance(structure, str) else tuple(structure)
+    name = name or " + ".join(names)
+    mask = volume.mask(*names)
+    if not mask.any():
+        raise LabelError(f"{name}: expected a structure of the volume, got no voxel of it")
+    return checked_structure(mask, name, volume), name
+
+
+def _exact(volume, mask, model, metric, acceptable_risk, settings, moments, allowed, growing, validating):
+    transforms = checked_transforms(model, settings.registrations, growing)
+    fresh = None
+    if settings.validation_registrations:
+        fresh = checked_transforms(model, settings.validation_registrations, validating)
+    every = transforms if fresh is None else np.concatenate([transforms, fresh])
+    region = Region.around(mask, volume, reach_of(every, mask, volume))
+    cut = first_cut(region, metric, moments, acceptable_risk)
+    ranking, needs = needed_ranks(region, metric, transforms, cut, allowed // 10)
+    size = int(np.partition(needs, len(needs) - 1 - allowed)[len(needs) - 1 - allowed])
+    margin = np.zeros(region.shape, bool)
+    margin.reshape(-1)[ranking.order[:size]] = True
+    validation = None
+    if fresh is not None:
+        corners = ranked_corners(region, ranking.order)
+        hits = largest_values(corners, region, fresh, above=size, first_only=True) > size
+        validation = RiskEstimate(int(np.count_nonzero(hits)), len(fresh))
+    return {
+        "mask": region.full(margin),
+        "estimate": RiskEstimate(int(np.count_nonzero(needs > size)), len(needs)),
+        "validation": validation,
+        "distance": float(ranking.distances[size - 1]) if size else 0.0,
+        "needs": needs,
+        "ranked_distances": ranking.distances,
+    }
+
+
+def _published(volume, mask, model, metric, acceptable_risk, settings, decay_start, growing, validating):
+    growth = grow_as_published(mask, volume, model, metric, acceptable_risk, decay_start, settings, growing)
+    margin = growth.region.full(growth.margin)
+    validation = None
+    if settings.validation_registrations:
+        fresh = checked_transforms(model, settings.validation_registrations, validating)
+        region = Region.around(mask, volume, reach_of(fresh, mask, volume))
+        box = tuple(slice(a, a + n) for a, n in zip(region.low, region.shape, strict=True))
+        validation = risk_of(region, region.solid | margin[box].view(np.uint8), fresh)
+    return {
+        "mask": margin,
+        "estimate": growth.estimate,
+        "validation": validation,
+        "distance": growth.distance,
+        "history": growth.history,
+    }

@@ -1,0 +1,178 @@
+"""What growing a margin returns."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+import pandas as pd
+from scipy import ndimage
+
+from study.margins.overall_risk import RiskEstimate
+from study.margins.point_risk import point_damage_risk
+from study.margins.published import _all_distances, risk_of
+from study.margins.region import Region, reach_of
+from study.margins.settings import GrowthSettings
+from study.registration.sources import ErrorSource, checked_transforms, displacement_moments
+from study.volumes import LabelVolume
+
+
+@dataclass(frozen=True, eq=False)
+class SafetyMargin:
+    """Tissue around a structure that must not be milled, and what it was grown from.
+
+    Attributes
+    ----------
+    structure : str
+    volume : LabelVolume
+    structure_mask, mask : (nx, ny, nz) bool arrays
+        The structure, and the margin around it (without the structure).
+    model : ErrorSource
+    acceptable_risk : float
+    shape : {"spatially_varying", "constant_thickness"}
+    settings : GrowthSettings
+    estimate : RiskEstimate
+        On the registrations with which growth stopped.
+    validation : RiskEstimate or None
+        On registrations never used before.
+    distance : float
+        Largest distance from a voxel of the margin to the structure's surface: standard deviations of the
+        error, mm for constant thickness.
+    edge_share : float
+        Share of the structure's surface, in voxel faces, that is only the edge of the volume.
+    time_s : float
+        Seconds it took, validation included.
+    history : DataFrame or None
+        Steps of the published method.
+    """
+
+    structure: str
+    volume: LabelVolume
+    structure_mask: np.ndarray
+    mask: np.ndarray
+    model: ErrorSource
+    acceptable_risk: float
+    shape: str
+    settings: GrowthSettings
+    estimate: RiskEstimate
+    validation: RiskEstimate | None
+    distance: float
+    edge_share: float
+    time_s: float
+    history: pd.DataFrame | None = None
+    needs: np.ndarray | None = field(default=None, repr=False)
+    ranked_distances: np.ndarray | None = field(default=None, repr=False)
+
+    @property
+    def voxels(self) -> int:
+        """Voxels in the margin."""
+        return int(np.count_nonzero(self.mask))
+
+    @property
+    def volume_mm3(self) -> float:
+        """mm^3 of the margin."""
+        return self.voxels * self.volume.voxel_volume
+
+    @property
+    def damage_risk(self) -> float:
+        """Overall damage risk among the registrations with which growth stopped."""
+        return self.estimate.risk
+
+    def curve(self) -> pd.DataFrame:
+        """Overall damage risk against margin.
+
+        Returns
+        -------
+        DataFrame
+            ``margin_voxels``, ``volume_mm3``, ``distance`` (standard deviations, or mm for constant
+            thickness), ``risk``. Exact method: the share of the registrations with which the margin was
+            chosen that do damage, at every margin where it changes, as far as voxels were ranked (to a
+            tenth of the acceptable risk at least). Published method: its steps.
+        """
+        step = self.volume.voxel_volume
+        if self.needs is None:
+            table = self.history[["margin_voxels", "risk"]].copy()
+            table.insert(1, "volume_mm3", table["margin_voxels"] * step)
+            return table
+        sizes, counts = np.unique(self.needs, return_counts=True)
+        if sizes[0] != 0:
+            sizes, counts = np.append(0, sizes), np.append(0, counts)
+        ranked = sizes <= len(self.ranked_distances)
+        risk = (len(self.needs) - np.cumsum(counts)) / len(self.needs)
+        distances = np.append(0.0, self.ranked_distances)[sizes[ranked]]
+        return pd.DataFrame(
+            {
+                "margin_voxels": sizes[ranked],
+                "volume_mm3": sizes[ranked] * step,
+                "distance": distances,
+                "risk": risk[ranked],
+            }
+        )
+
+    @cached_property
+    def final_shell(self) -> np.ndarray:
+        """(n, 3) voxels outside structure and margin that share a face with them (Siebold, 3.3.1)."""
+        union = self.structure_mask | self.mask
+        return np.argwhere(ndimage.binary_dilation(union) & ~union)
+
+    @cached_property
+    def shell_distances(self) -> np.ndarray:
+        """(n,) smallest Mahalanobis distance of the final shell's voxels to the structure's surface."""
+        region = Region.around(self.structure_mask | self.mask, self.volume, 0.0)
+        box = tuple(slice(a, a + n) for a, n in zip(region.low, region.shape, strict=True))
+        solid = np.ascontiguousarray(self.structure_mask[box]).view(np.uint8)
+        region = Region(solid, region.low, region.affine, region.whole)
+        voxels = np.ascontiguousarray(self.final_shell - region.low)
+        return _all_distances(region, voxels, displacement_moments(self.model), 0.0)
+
+    @property
+    def shell_point_risks(self) -> np.ndarray:
+        """(n,) point damage risk of the final shell's voxels, from the chi-squared law."""
+        return point_damage_risk(self.shell_distances)
+
+    def risk_on(
+        self, registrations: int, rng: object = None, model: ErrorSource | None = None
+    ) -> RiskEstimate:
+        """Overall damage risk on fresh registrations, or under another error source.
+
+        Parameters
+        ----------
+        registrations : int
+        rng : anything `numpy.random.default_rng` takes
+        model : ErrorSource, optional
+            The margin's own by default.
+        """
+        rng = np.random.default_rng(rng)
+        hits = done = 0
+        while done < registrations:
+            count = min(100_000, registrations - done)
+            transforms = checked_transforms(model or self.model, count, rng)
+            reach = reach_of(transforms, self.structure_mask, self.volume)
+            region = Region.around(self.structure_mask, self.volume, reach)
+            box = tuple(slice(a, a + n) for a, n in zip(region.low, region.shape, strict=True))
+            union = region.solid | self.mask[box].view(np.uint8)
+            hits += risk_of(region, union, transforms).hits
+            done += count
+        return RiskEstimate(hits, done)
+
+    def summary(self) -> pd.Series:
+        """The rows of Table 3.2, and what else says how good the margin is."""
+        distances = self.shell_distances
+        values = {
+            "structure": self.structure,
+            "shape": self.shape,
+            "method": self.settings.method,
+            "acceptable_risk": self.acceptable_risk,
+            "safety_margin_volume_mm3": self.volume_mm3,
+            "final_damage_probability": self.damage_risk,
+            "mahalanobis_mean": float(distances.mean()),
+            "mahalanobis_std": float(distances.std(ddof=1)) if len(distances) > 1 else 0.0,
+            "distance": self.distance,
+            "edge_share": self.edge_share,
+            "time_s": self.time_s,
+        }
+        if self.validation is not None:
+            values["validation_risk"] = self.validation.risk
+            values["validation_low"], values["validation_high"] = self.validation.interval
+        return pd.Series(values)

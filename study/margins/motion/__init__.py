@@ -1,0 +1,1 @@
+"""Compiled: how far transforms move points, and lattice corners in voxels."""

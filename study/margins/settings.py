@@ -1,0 +1,109 @@
+"""How a margin is grown, and what the printed example takes (Siebold, 3.3.1)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from study.errors import InputError
+
+METHODS = ("exact", "published")
+SHAPES = ("spatially_varying", "constant_thickness")
+
+#: Overall damage risk that the surgeon accepts for each structure.
+ACCEPTABLE_RISKS = {
+    "facial_nerve": 0.001,
+    "chorda_tympani": 0.05,
+    "internal_auditory_canal": 0.01,
+    "sigmoid_sinus": 0.01,
+    "external_auditory_canal": 0.05,
+}
+
+#: Overall damage risk below which the transfer percentage decays.
+DECAY_STARTS = {
+    "facial_nerve": 0.3,
+    "chorda_tympani": 0.4,
+    "internal_auditory_canal": 0.5,
+    "sigmoid_sinus": 1.0,
+    "external_auditory_canal": 0.5,
+}
+_DECAY_START = 0.5
+
+
+@dataclass(frozen=True)
+class GrowthSettings:
+    """Settings of `grow_margin`.
+
+    Parameters
+    ----------
+    method : {"exact", "published"}
+        "exact": every registration is asked for the smallest margin that makes it harmless, and the margin is
+        an order statistic of the answers. "published": the printed loop, which grows by a percentage of the
+        analyzed shell until the share of damaging ones among fresh registrations is acceptable.
+    registrations : int
+        Simulated registrations, N_r (3.3.1); with "published", in every step.
+    confidence : float or None
+        "exact" only: probability with which the true risk shall be acceptable (Wilks). None takes the
+        plain quantile, whose true risk is above the tolerance about as often as not.
+    validation_registrations : int
+        Registrations never used before on which the margin's risk is estimated; 0 for no validation.
+    initial_transfer : float
+        "published" only, as the rest: share of the analyzed shell that a step transfers at first (3.3.1).
+    decay_start : float or None
+        Overall damage risk below which that share decays, linearly to 0 at the acceptable risk
+        (figure 3.8). None takes the printed one of the structure, 0.5 for others.
+    least_transfer : int
+        Voxels that a step transfers at least.
+    most_steps : int
+        Steps after which growth counts as stalled.
+
+    Raises
+    ------
+    InputError
+        If a value cannot be.
+    """
+
+    method: str = "exact"
+    registrations: int = 25_000
+    confidence: float | None = 0.95
+    validation_registrations: int = 25_000
+    initial_transfer: float = 0.20
+    decay_start: float | None = None
+    least_transfer: int = 1
+    most_steps: int = 5_000
+
+    def __post_init__(self) -> None:
+        if self.method not in METHODS:
+            raise InputError(f"method: expected one of {METHODS}, got {self.method!r}")
+        for name, least in (
+            ("registrations", 1),
+            ("validation_registrations", 0),
+            ("least_transfer", 1),
+            ("most_steps", 1),
+        ):
+            value = getattr(self, name)
+            if isinstance(value, bool) or value != int(value) or value < least:
+                raise InputError(f"{name}: expected a whole number of at least {least}, got {value}")
+        if self.confidence is not None:
+            checked_share("confidence", self.confidence)
+        if not 0 < self.initial_transfer <= 1:
+            raise InputError(f"initial_transfer: expected a share in (0, 1], got {self.initial_transfer}")
+        if self.decay_start is not None and not 0 < self.decay_start <= 1:
+            raise InputError(f"decay_start: expected a risk in (0, 1], got {self.decay_start}")
+
+    def decay_start_of(self, structure: str) -> float:
+        """Overall damage risk below which the transfer percentage decays for a structure."""
+        return self.decay_start or DECAY_STARTS.get(structure, _DECAY_START)
+
+
+def checked_share(name: str, value: float) -> float:
+    """A number strictly between 0 and 1.
+
+    Raises
+    ------
+    InputError
+        If it is not.
+    """
+    if not (isinstance(value, (int, float)) and math.isfinite(value) and 0 < value < 1):
+        raise InputError(f"{name}: expected a number between 0 and 1, both excluded, got {value!r}")
+    return float(value)

@@ -1,0 +1,1 @@
+"""Compiled sweep of drawn transforms over lattice corners."""

@@ -1,0 +1,29 @@
+"""Registration: closed-form fits, what they miss to first order, and models of it that can be drawn."""
+
+from study.registration.first_order import first_order_tre_covariance, isotropic_tre_covariance
+from study.registration.moments import DisplacementMoments, sampled_moments
+from study.registration.point import FLE_RMS, PointRegistration
+from study.registration.rigid import RigidFit, register_points
+from study.registration.sources import (
+    CombinedErrors,
+    ErrorSource,
+    ImageError,
+    RobotError,
+    displacement_moments,
+)
+
+__all__ = [
+    "FLE_RMS",
+    "CombinedErrors",
+    "DisplacementMoments",
+    "ErrorSource",
+    "ImageError",
+    "PointRegistration",
+    "RigidFit",
+    "RobotError",
+    "displacement_moments",
+    "first_order_tre_covariance",
+    "isotropic_tre_covariance",
+    "register_points",
+    "sampled_moments",
+]
