@@ -26,7 +26,7 @@ reproduce: $(MADE)
 test: $(MADE)
 	@$(RUN) ruff check --quiet
 	@$(RUN) ruff format --check --quiet
-	@$(RUN) pytest
+	@$(RUN) pytest -n 2
 
 lab: $(MADE)
 	@$(RUN) jupyter lab notebooks

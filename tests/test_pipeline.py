@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import nbformat
+import parallel
 import pytest
 import yaml
 from IPython.core.inputtransformer2 import TransformerManager
@@ -131,6 +132,19 @@ def test_dvc_understands_the_pipeline_without_git():
     done = subprocess.run(command, cwd=PROJECT, capture_output=True, text=True, check=True)
     assert set(done.stdout.split()) == set(STAGES)
     assert "no_scm = true" in (PROJECT / ".dvc" / "config").read_text(encoding="utf-8")
+
+
+def test_stages_that_read_each_others_tables_are_tested_by_one_worker_in_their_order():
+    groups = {name: parallel.group(f"tests/test_notebooks.py::test_runs[{name}]") for name in NOTEBOOK_STAGES}
+    seen = {}
+    for name, stage in NOTEBOOK_STAGES.items():
+        for path in stage["deps"]:
+            maker = seen.get(Path(path).name)
+            assert maker is None or groups[maker] == groups[name]
+            assert maker or not path.endswith((".csv", ".json", ".png", ".vtp", ".nrrd"))
+        seen |= dict.fromkeys(outputs(stage), name)
+    assert groups["appendix_a_3d_5dof"] == groups["table_2_2"] != groups["published_audit"]
+    assert len(set(groups.values())) > 1
 
 
 def test_no_two_stages_share_an_output():
