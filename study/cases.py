@@ -3,22 +3,26 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from study.collision import find_approach
-from study.errors import InputError
+from study.errors import GeometryError, InputError, LabelError
 from study.paths import PROJECT
 from study.specimens import (
+    Specimen,
     TargetRule,
     catalogue,
+    fiducial_ring,
     mastoidectomy_target,
     read_temporal_bone_case,
     specimen,
     structure_mask,
 )
+from study.specimens.orientation import side_of
 from study.specimens.structures import PUBLIC_LABELS, SYNONYMS
 from study.volumes import LabelVolume, read_volume
 
@@ -37,12 +41,55 @@ class Case:
         Anatomical labels on the same grid; None for a file that holds only a planning volume.
     approach : (3,) array or None
         Outside -> bone, where the anatomy says which side it is; else left to the planner.
+    fiducials : (n, 3) array or None
+        mm; those of the specimen or the folder, else `study.specimens.fiducial_ring` where the side is known.
+    side : {"right", "left"} or None
+    rule : TargetRule or None
+        What made the target, if a rule did.
     """
 
     name: str
     planning: LabelVolume
     anatomy: LabelVolume | None = None
     approach: np.ndarray | None = None
+    fiducials: np.ndarray | None = None
+    side: str | None = None
+    rule: TargetRule | None = None
+
+    @classmethod
+    def of(cls, bone: Specimen) -> Case:
+        """A specimen as a case."""
+        return cls(
+            bone.name, bone.planning, bone.anatomy, bone.approach, bone.fiducials, bone.side, bone.rule
+        )
+
+    def with_clearance(self, mm: float, structures: Iterable[str]) -> Case:
+        """The same bone with a target that keeps another distance from some of the structures.
+
+        The rule behind chapter 2's targets keeps a millimetre or more from every structure by itself; where
+        safety margins are to decide how near is near enough, the target has to go up to them.
+
+        Parameters
+        ----------
+        mm : float
+            Kept from each of `structures`; the rule's own distance from the others.
+        structures : iterable of str
+            Keys of `study.specimens.structures.SYNONYMS`.
+
+        Raises
+        ------
+        InputError
+            If the case has no anatomy to draw a target in, or a structure or distance is not known.
+        LabelError, PlanningError
+            From `study.specimens.mastoidectomy_target`.
+        """
+        if self.anatomy is None or self.side is None:
+            raise InputError(
+                f"{self.name}: expected a bone with labelled anatomy, got a planning volume only"
+            )
+        rule = self.rule or TargetRule()
+        rule = replace(rule, clearances={**rule.clearances, **dict.fromkeys(structures, mm)})
+        return replace(self, planning=mastoidectomy_target(self.anatomy, rule, self.side), rule=rule)
 
     def structure(self, name: str) -> np.ndarray | None:
         """(nx, ny, nz) mask of a structure such as ``"facial_nerve"``; None where it is unknown."""
@@ -97,8 +144,7 @@ def load_case(what: str | os.PathLike[str], rule: TargetRule | None = None) -> C
     """
     text = os.fspath(what)
     if text in catalogue():
-        bone = specimen(text)
-        return Case(bone.name, bone.planning, bone.anatomy, bone.approach)
+        return Case.of(specimen(text))
     path = next((p for p in (Path(text), PROJECT / text) if text and p.exists()), None)
     if path is None:
         names = catalogue()
@@ -106,12 +152,12 @@ def load_case(what: str | os.PathLike[str], rule: TargetRule | None = None) -> C
             f"expected a specimen ({names[0]} to {names[-1]}), a file or a folder; {text!r} is none of them"
         )
     if path.is_dir():
-        bone = read_temporal_bone_case(path, rule=rule)
-        return Case(bone.name, bone.planning, bone.anatomy, bone.approach)
+        return Case.of(read_temporal_bone_case(path, rule=rule))
     volume = read_volume(path)
     name = path.name.split(".")[0]
     if {"air", "target"} <= set(volume.names):
-        return Case(name, volume)
+        side = _side_if_known(volume)
+        return Case(name, volume, fiducials=fiducial_ring(volume, side) if side else None, side=side)
     if all(label.startswith("label_") for label in volume.names):
         if volume.labels.max() > max(PUBLIC_LABELS.values()):
             raise InputError(
@@ -125,7 +171,18 @@ def load_case(what: str | os.PathLike[str], rule: TargetRule | None = None) -> C
             f"{path}: expected labels 'air' and 'target', or structures of a temporal bone such as "
             f"'facial_nerve'; got {sorted(volume.names)}"
         )
-    return Case(name, mastoidectomy_target(volume, rule), volume)
+    rule = rule or TargetRule()
+    planning = mastoidectomy_target(volume, rule)
+    side = side_of(volume)
+    return Case(name, planning, volume, fiducials=fiducial_ring(planning, side), side=side, rule=rule)
+
+
+def _side_if_known(volume: LabelVolume) -> str | None:
+    """The side of the head where a planning volume keeps the structures that tell it."""
+    try:
+        return side_of(volume) if volume.mask("target").any() else None
+    except (GeometryError, LabelError):
+        return None
 
 
 def _is_structure(label: str) -> bool:
