@@ -8,10 +8,19 @@ import numpy as np
 from scipy import stats
 
 from study.errors import InputError
+from study.margins.settings import checked_share
 
 
 def least_registrations(acceptable_risk: float, confidence: float) -> int:
-    """Fewest registrations from which a risk can be called acceptable at all: when none does damage."""
+    """Fewest registrations from which a risk can be called acceptable at all: when none does damage.
+
+    Raises
+    ------
+    InputError
+        If the risk or the confidence is not between 0 and 1.
+    """
+    checked_share("acceptable_risk", acceptable_risk)
+    checked_share("confidence", confidence)
     return math.ceil(math.log1p(-confidence) / math.log1p(-acceptable_risk))
 
 

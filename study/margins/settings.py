@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
+from numbers import Integral, Real
 
 from study.errors import InputError
 
@@ -82,14 +82,17 @@ class GrowthSettings:
             ("most_steps", 1),
         ):
             value = getattr(self, name)
-            if isinstance(value, bool) or value != int(value) or value < least:
-                raise InputError(f"{name}: expected a whole number of at least {least}, got {value}")
+            if isinstance(value, bool) or not isinstance(value, Integral) or value < least:
+                raise InputError(f"{name}: expected a whole number of at least {least}, got {value!r}")
+            object.__setattr__(self, name, int(value))
         if self.confidence is not None:
             checked_share("confidence", self.confidence)
-        if not 0 < self.initial_transfer <= 1:
-            raise InputError(f"initial_transfer: expected a share in (0, 1], got {self.initial_transfer}")
-        if self.decay_start is not None and not 0 < self.decay_start <= 1:
-            raise InputError(f"decay_start: expected a risk in (0, 1], got {self.decay_start}")
+        for name in ("initial_transfer", "decay_start"):
+            value = getattr(self, name)
+            if value is None and name == "decay_start":
+                continue
+            if not isinstance(value, Real) or not 0 < value <= 1:
+                raise InputError(f"{name}: expected a number in (0, 1], got {value!r}")
 
     def decay_start_of(self, structure: str) -> float:
         """Overall damage risk below which the transfer percentage decays for a structure."""
@@ -104,6 +107,6 @@ def checked_share(name: str, value: float) -> float:
     InputError
         If it is not.
     """
-    if not (isinstance(value, (int, float)) and math.isfinite(value) and 0 < value < 1):
+    if not (isinstance(value, Real) and 0 < value < 1):
         raise InputError(f"{name}: expected a number between 0 and 1, both excluded, got {value!r}")
     return float(value)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from numbers import Integral
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,7 +16,7 @@ from study.registration.rigid import checked_fiducials, checked_weights, registe
 
 #: Root of the mean squared length of a localisation error, mm (Siebold, 3.3.1).
 FLE_RMS = 0.176
-# Registrations solved at once: bounds memory, changes no number.
+# Registrations solved at once: bounds memory.
 _CHUNK = 100_000
 
 
@@ -106,6 +107,8 @@ class PointRegistration:
     def sample(self, n: int, rng: object = None) -> np.ndarray:
         """Draw registrations.
 
+        The first of many are those that fewer would have been, from the same seed.
+
         Parameters
         ----------
         n : int
@@ -121,14 +124,19 @@ class PointRegistration:
         InputError
             If `n` is not a positive integer.
         """
-        if n != int(n) or n < 1:
-            raise InputError(f"n: expected a positive number of registrations, got {n}")
+        if not isinstance(n, Integral) or n < 1:
+            raise InputError(f"n: expected a positive whole number of registrations, got {n!r}")
         rng = np.random.default_rng(rng)
         roots = [_root(self.image_covariances), _root(self._physical_in_image_axes())]
         out = np.empty((int(n), 4, 4))
         for start in range(0, len(out), _CHUNK):
             count = min(_CHUNK, len(out) - start)
-            image, physical = (_scattered(self.fiducials, root, count, rng) for root in roots)
+            # One registration after the other, so that the chunks' length changes no number.
+            white = rng.standard_normal((count, 2, len(self.fiducials), 3))
+            image, physical = (
+                _scattered(self.fiducials, root, np.ascontiguousarray(white[:, space]))
+                for space, root in enumerate(roots)
+            )
             out[start : start + count] = register_many(image, physical, self.weights)
         return out
 
@@ -154,9 +162,8 @@ class PointRegistration:
         return np.sqrt(np.trace(self.tre_covariance(points), axis1=1, axis2=2))
 
 
-def _scattered(points: np.ndarray, roots: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:
-    """(n, f, 3) copies of fiducials, each with an error of its own."""
-    white = rng.standard_normal((count, len(points), 3))
+def _scattered(points: np.ndarray, roots: np.ndarray, white: np.ndarray) -> np.ndarray:
+    """(n, f, 3) copies of fiducials, each with an error of its own; uses up the white noise."""
     _kernels.scatter(points, roots, white, white)
     return white
 

@@ -19,7 +19,6 @@ from scipy.spatial.transform import Rotation
 
 from study.errors import InputError
 from study.registration.moments import DisplacementMoments, sampled_moments
-from study.registration.rigid import checked_points
 
 #: Draws from which the covariance of a source is estimated that does not know it.
 _MOMENT_DRAWS = 20_000
@@ -68,6 +67,20 @@ def checked_transforms(source: ErrorSource, n: int, rng: np.random.Generator) ->
     return drawn
 
 
+def checked_vector(name: str, value: ArrayLike, unit: str) -> np.ndarray:
+    """(3,) finite float array.
+
+    Raises
+    ------
+    InputError
+        If it is not.
+    """
+    vector = np.array(value, dtype=float)
+    if vector.shape != (3,) or not np.isfinite(vector).all():
+        raise InputError(f"{name}: expected three finite numbers in {unit}, got {np.asarray(value).tolist()}")
+    return vector
+
+
 def checked_std(name: str, value: ArrayLike, unit: str, shape: tuple[int, ...] = ()) -> np.ndarray:
     """Standard deviations of a shape (or one for all), finite and at least 0.
 
@@ -107,7 +120,7 @@ class ImageError:
     position_std: ArrayLike = 0.0
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "centre", checked_points("centre", np.atleast_2d(self.centre))[0])
+        object.__setattr__(self, "centre", checked_vector("centre", self.centre, "mm"))
         object.__setattr__(self, "scale_std", checked_std("scale_std", self.scale_std, "", (3,)))
         object.__setattr__(self, "position_std", checked_std("position_std", self.position_std, "mm", (3,)))
 
@@ -164,12 +177,11 @@ class RobotError:
     force_std: ArrayLike = 0.0
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "centre", checked_points("centre", np.atleast_2d(self.centre))[0])
+        object.__setattr__(self, "centre", checked_vector("centre", self.centre, "mm"))
         object.__setattr__(self, "position_std", checked_std("position_std", self.position_std, "mm", (3,)))
         object.__setattr__(self, "rotation_std", checked_std("rotation_std", self.rotation_std, "rad", (3,)))
         object.__setattr__(self, "force_std", checked_std("force_std", self.force_std, "N", (3,)))
-        mean = checked_points("force_mean", np.atleast_2d(self.force_mean))[0]
-        object.__setattr__(self, "force_mean", mean)
+        object.__setattr__(self, "force_mean", checked_vector("force_mean", self.force_mean, "N"))
         compliance = np.array(self.compliance, dtype=float)
         if (
             compliance.shape != (3, 3)
@@ -219,7 +231,7 @@ class CombinedErrors:
     sources: Sequence[ErrorSource]
 
     def __post_init__(self) -> None:
-        sources = tuple(self.sources)
+        sources = (self.sources,) if isinstance(self.sources, ErrorSource) else tuple(self.sources)
         wrong = [type(source).__name__ for source in sources if not isinstance(source, ErrorSource)]
         if wrong or not sources:
             raise InputError(f"sources: expected error sources with sample(n, rng), got {wrong or 'none'}")
