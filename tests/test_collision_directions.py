@@ -45,7 +45,7 @@ def without_burr(solid: np.ndarray, spacing: np.ndarray, drill: Drill, position:
 def brute_free(solid, spacing, drill, position, axes) -> np.ndarray:
     """(n,) bool of the plain exact kernel, the voxels under the burr taken out."""
     left, hit = without_burr(solid, spacing, drill, position), np.zeros(3, np.int64)
-    cylinders = np.array(drill.cylinders)
+    cylinders, axes = np.array(drill.cylinders), np.array(axes)  # for read-only ones it is compiled anew
     return np.array(
         [not drill_overlaps_voxels(left, spacing, position, axis, cylinders, hit) for axis in axes], bool
     )
@@ -64,10 +64,11 @@ def pocket(rng, shape=(34, 30, 36), air=6, n_balls=8, radius=5.0) -> np.ndarray:
 
 
 def near_bone(rng, solid, n) -> np.ndarray:
-    """(n, 3) voxels of air, most of them next to bone."""
+    """(n, 3) voxels of air, most of them next to bone, as floats: so the planner asks, and with other
+    types the kernels are compiled once more."""
     air = np.argwhere(solid == 0)
     deep = air[np.argsort(-air[:, 1] + rng.uniform(0, 12, len(air)))]
-    return deep[rng.integers(len(deep) // 2, size=n)]
+    return deep[rng.integers(len(deep) // 2, size=n)].astype(float)
 
 
 # One direction
@@ -411,16 +412,16 @@ def test_a_turn_over_a_single_thin_obstacle_is_refused():
     """A voxel between two free directions, seen by neither."""
     solid = np.zeros((41, 41, 41), np.uint8)
     solid[20, 5, 20] = 1
-    spacing = np.full(3, 0.4)
+    spacing, at = np.full(3, 0.4), (20.0, 30.0, 20.0)
     space = build_free_space(solid, spacing, Drill(), np.pi / 4)
     hit = np.zeros(3, np.int64)
     for degrees, expected in ((60.0, False), (30.0, False)):
         u, v = grid_axes(np.deg2rad([-degrees, degrees]), np.zeros(2))[:, 0]
-        assert single.shaft_is_free(space, 20, 30, 20, *u, 0.0, 0, hit)
-        assert single.shaft_is_free(space, 20, 30, 20, *v, 0.0, 0, hit)
-        assert single.turn_is_free(space, 20, 30, 20, *u, *v, hit) == expected
+        assert single.shaft_is_free(space, *at, *u, 0.0, 0, hit)
+        assert single.shaft_is_free(space, *at, *v, 0.0, 0, hit)
+        assert single.turn_is_free(space, *at, *u, *v, hit) == expected
     u, v = grid_axes(np.deg2rad([30.0, 40.0]), np.zeros(2))[:, 0]
-    assert single.turn_is_free(space, 20, 30, 20, *u, *v, hit)
+    assert single.turn_is_free(space, *at, *u, *v, hit)
 
 
 # Use

@@ -8,7 +8,7 @@ import pytest
 from planning_cases import cone_volume
 from real_data import real
 
-from study._compiled import kernel
+from study._compiled import inlined, kernel
 from study.cases import undercut
 from study.collision import Drill
 from study.collision.octree import OctreeCheck
@@ -174,7 +174,7 @@ def test_a_voxel_shut_for_the_search_may_be_open_to_the_present_direction(monkey
     assert same_path(first, plan_path(speckled_well(), "3d", 5, drill, settings))
 
 
-@kernel
+@inlined
 def _decide_eagerly(sim, search, burr, heading, weights, terms, candidates, scores):
     """A decision as the text has it: which candidates are accessible, then the fittest of those."""
     l0, b0 = burr[0], burr[2]
