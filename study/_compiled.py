@@ -21,6 +21,8 @@ PACKAGE = Path(__file__).parent
 
 kernel = numba.njit(cache=True, no_cfunc_wrapper=True)
 inner = numba.njit(cache=True, no_cfunc_wrapper=True, no_cpython_wrapper=True)
+# Lets other threads run meanwhile: for kernels of which two may work on two halves of the same arrays.
+threaded = numba.njit(cache=True, no_cfunc_wrapper=True, nogil=True)
 # Copied into its callers before they are compiled: a function of its own would carry all it calls along
 # through the optimiser once more. For thin functions over large ones.
 inlined = numba.njit(inline="always")

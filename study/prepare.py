@@ -22,10 +22,12 @@ from study.collision._kernels import pose_is_free
 from study.collision.exact._kernels import cylinder_overlaps_box
 from study.errors import InputError, StudyError
 from study.files import written_whole
+from study.margins import SHAPES, GrowthSettings, grow_margin
 from study.paths import PROJECT, output_folder
 from study.planners import CuttingForce, IncidenceAngle, PlannerSettings, plan_path
 from study.planners.moments import moment, telling_row
 from study.planners.planning import DEGREES_OF_FREEDOM, STRATEGIES
+from study.registration import PointRegistration
 from study.robots import predict_milling
 from study.volumes import LabelVolume
 
@@ -86,6 +88,10 @@ def warm() -> None:
     solid = np.zeros((3, 3, 3), bool)
     solid[1] = True
     OctreeCheck(solid, volume.spacing).met(np.zeros(3), np.array([1.0, 0.0, 0.0]))
+    model = PointRegistration(20.0 * np.eye(3))
+    for method, shape in (("exact", SHAPES[0]), ("exact", SHAPES[1]), ("published", SHAPES[0])):
+        settings = GrowthSettings(method, registrations=300, validation_registrations=10)
+        grow_margin(volume, "target", model, 0.05, shape, settings, rng=0).summary()
 
 
 def main() -> int:

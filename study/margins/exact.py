@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
-from study.margins.overall_risk import largest_values, ranked_corners
-from study.margins.point_risk import smallest_distances, widest_deviation
+from study.margins.overall_risk import Corners, Memory, largest_values, ranked_corners
+from study.margins.point_risk import smallest_distances, widest_deviation, widest_deviations
 from study.margins.region import Region
 from study.registration.moments import DisplacementMoments
 
@@ -22,6 +22,8 @@ from study.registration.moments import DisplacementMoments
 _TIE = 1e-9
 #: How much farther the next attempt looks when a registration needs voxels that have no rank yet.
 _WIDER = 1.3
+#: Share of that distance below which no margin is expected to end: at first needs below it are not found.
+_FLOOR = 0.7
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +53,7 @@ def ranked_voxels(region: Region, metric: DisplacementMoments, cut: float) -> Ra
     cut : float
         Distance from which on voxels get no rank.
     """
-    voxels = region.near(cut * widest_deviation(region, metric))
+    voxels = region.near(lambda points: cut * widest_deviations(points, metric))
     distances = smallest_distances(region, voxels, metric, cut)
     near = np.isfinite(distances)
     flat = np.ravel_multi_index(tuple(voxels[near].T), region.shape)
@@ -74,23 +76,62 @@ def first_cut(
     A rigid motion is longer than q standard deviations of its six parameters as often as chi-squared
     says, and no point moves by more of its own; a corner and a surface point may each be most of a voxel off.
     """
-    deviations = np.sqrt(stats.chi2.isf(risk / 20, 6))
+    deviations = np.sqrt(stats.chi2.isf(risk / 4, 6))
     centre = region.affine[:3, :3] @ (np.array(region.shape) / 2 - 0.5) + region.affine[:3, 3]
     voxel = float(np.cbrt(region.voxel_volume))
     if metric is moments:
         smallest = float(np.sqrt(np.linalg.eigvalsh(moments.at(centre[None]))[0, 0]))
-        return deviations + min(0.6 * voxel / max(smallest, 1e-9), 2 * deviations)
+        return deviations + min(0.35 * voxel / max(smallest, 1e-9), 2 * deviations)
     return float(deviations * widest_deviation(region, moments) * 0.8 + 0.6 * voxel)
 
 
-def needed_ranks(
+@dataclass(frozen=True, eq=False)
+class Choice:
+    """Registrations and ranked voxels from which a margin is chosen.
+
+    Attributes
+    ----------
+    region : Region
+    ranking : Ranking
+    transforms : (n, 4, 4) array
+        The simulated registrations.
+    corners : Corners
+        Those worth more than `floor`.
+    floor : int
+        Margins of fewer voxels are out of the question.
+    largest_needs : (n,) int32 array
+        What each registration needs, `floor` if that or less.
+    """
+
+    region: Region
+    ranking: Ranking
+    transforms: np.ndarray
+    corners: Corners
+    floor: int
+    largest_needs: np.ndarray
+    memory: Memory
+
+    def needs(self) -> np.ndarray:
+        """(n,) voxels of the smallest margin from which on each registration is harmless.
+
+        One more than there are ranked voxels where these are not enough.
+        """
+        if self.floor == 0:
+            return self.largest_needs
+        reaching = self.region.reaching_corners(self.transforms)
+        corners = ranked_corners(self.region, self.ranking.order, reaching)
+        return largest_values(corners, self.region, self.transforms)
+
+
+def choice_of(
     region: Region,
     metric: DisplacementMoments,
     transforms: np.ndarray,
     cut: float,
-    most_beyond: int,
-) -> tuple[Ranking, np.ndarray]:
-    """Rank voxels and find the margin that each registration needs.
+    allowed: int,
+    others: np.ndarray | None = None,
+) -> Choice:
+    """Rank voxels and find the largest margins that registrations need.
 
     Parameters
     ----------
@@ -98,20 +139,26 @@ def needed_ranks(
     metric : DisplacementMoments
     transforms : (n, 4, 4) array
     cut : float
-        Where to begin.
-    most_beyond : int
-        Registrations whose needs may lie beyond the ranked voxels.
-
-    Returns
-    -------
-    Ranking
-    (n,) int32 array
-        Voxels of the smallest margin from which on a registration is harmless; one more than there are
-        ranked voxels where these are not enough.
+        Up to which distance to rank voxels at first; more are ranked if more than a third of the `allowed`
+        registrations need more.
+    allowed : int
+        More registrations than this shall have their needs found.
+    others : (m, 4, 4) array, optional
+        Registrations that `corners` shall also serve.
     """
+    every = transforms if others is None else np.concatenate([transforms, others])
+    reaching = region.reaching_corners(every)
+    moves = region.moves(every)
     while True:
         ranking = ranked_voxels(region, metric, cut)
-        needs = largest_values(ranked_corners(region, ranking.order), region, transforms)
-        if np.count_nonzero(needs > len(ranking.order)) <= most_beyond:
-            return ranking, needs
+        floor = int(np.searchsorted(ranking.distances, _FLOOR * cut))
+        while True:
+            corners = ranked_corners(region, ranking.order, reaching, floor)
+            memory = Memory(corners, moves, region.shape)
+            needs = largest_values(corners, region, transforms, above=floor, memory=memory)
+            if floor == 0 or np.count_nonzero(needs > floor) > allowed:
+                break
+            floor //= 2
+        if np.count_nonzero(needs > len(ranking.order)) <= allowed // 3:
+            return Choice(region, ranking, transforms, corners, floor, needs, memory)
         cut *= _WIDER

@@ -8,10 +8,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from study.errors import InputError, LabelError
-from study.margins.exact import first_cut, needed_ranks
+from study.margins.exact import choice_of, first_cut
 from study.margins.margin import SafetyMargin
 from study.margins.order_statistics import allowed_hits
-from study.margins.overall_risk import RiskEstimate, largest_values, ranked_corners
+from study.margins.overall_risk import RiskEstimate, largest_values
 from study.margins.point_risk import euclidean
 from study.margins.published import grow_as_published, risk_of
 from study.margins.region import Region, checked_structure, edge_share, reach_of
@@ -121,22 +121,22 @@ def _exact(volume, mask, model, metric, acceptable_risk, settings, moments, allo
     every = transforms if fresh is None else np.concatenate([transforms, fresh])
     region = Region.around(mask, volume, reach_of(every, mask, volume))
     cut = first_cut(region, metric, moments, acceptable_risk)
-    ranking, needs = needed_ranks(region, metric, transforms, cut, allowed // 10)
+    choice = choice_of(region, metric, transforms, cut, allowed, fresh)
+    needs, ranking = choice.largest_needs, choice.ranking
     size = int(np.partition(needs, len(needs) - 1 - allowed)[len(needs) - 1 - allowed])
     margin = np.zeros(region.shape, bool)
     margin.reshape(-1)[ranking.order[:size]] = True
     validation = None
     if fresh is not None:
-        corners = ranked_corners(region, ranking.order)
-        hits = largest_values(corners, region, fresh, above=size, first_only=True) > size
+        corners, memory = choice.corners, choice.memory
+        hits = largest_values(corners, region, fresh, above=size, first_only=True, memory=memory) > size
         validation = RiskEstimate(int(np.count_nonzero(hits)), len(fresh))
     return {
         "mask": region.full(margin),
         "estimate": RiskEstimate(int(np.count_nonzero(needs > size)), len(needs)),
         "validation": validation,
         "distance": float(ranking.distances[size - 1]) if size else 0.0,
-        "needs": needs,
-        "ranked_distances": ranking.distances,
+        "choice": choice,
     }
 
 

@@ -9,6 +9,8 @@ import numpy as np
 import pandas as pd
 from scipy import ndimage
 
+from study.errors import MarginError
+from study.margins.exact import Choice
 from study.margins.overall_risk import RiskEstimate
 from study.margins.point_risk import point_damage_risk
 from study.margins.published import _all_distances, risk_of
@@ -45,6 +47,8 @@ class SafetyMargin:
         Seconds it took, validation included.
     history : DataFrame or None
         Steps of the published method.
+    choice : Choice or None
+        Registrations and ranked voxels of the exact method.
     """
 
     structure: str
@@ -61,8 +65,7 @@ class SafetyMargin:
     edge_share: float
     time_s: float
     history: pd.DataFrame | None = None
-    needs: np.ndarray | None = field(default=None, repr=False)
-    ranked_distances: np.ndarray | None = field(default=None, repr=False)
+    choice: Choice | None = field(default=None, repr=False)
 
     @property
     def voxels(self) -> int:
@@ -79,6 +82,17 @@ class SafetyMargin:
         """Overall damage risk among the registrations with which growth stopped."""
         return self.estimate.risk
 
+    @cached_property
+    def needs(self) -> np.ndarray:
+        """(n,) voxels of the smallest margin from which on each registration is harmless (exact method).
+
+        One more than the ranked voxels where these are not enough. Found by another sweep when first asked
+        for.
+        """
+        if self.choice is None:
+            raise MarginError('needs: expected a margin grown with method="exact", got "published"')
+        return self.choice.needs()
+
     def curve(self) -> pd.DataFrame:
         """Overall damage risk against margin.
 
@@ -88,19 +102,20 @@ class SafetyMargin:
             ``margin_voxels``, ``volume_mm3``, ``distance`` (standard deviations, or mm for constant
             thickness), ``risk``. Exact method: the share of the registrations with which the margin was
             chosen that do damage, at every margin where it changes, as far as voxels were ranked (to a
-            tenth of the acceptable risk at least). Published method: its steps.
+            third of the acceptable risk at least). Published method: its steps.
         """
         step = self.volume.voxel_volume
-        if self.needs is None:
+        if self.choice is None:
             table = self.history[["margin_voxels", "risk"]].copy()
             table.insert(1, "volume_mm3", table["margin_voxels"] * step)
             return table
-        sizes, counts = np.unique(self.needs, return_counts=True)
+        needs, known = self.needs, self.choice.ranking.distances
+        sizes, counts = np.unique(needs, return_counts=True)
         if sizes[0] != 0:
             sizes, counts = np.append(0, sizes), np.append(0, counts)
-        ranked = sizes <= len(self.ranked_distances)
-        risk = (len(self.needs) - np.cumsum(counts)) / len(self.needs)
-        distances = np.append(0.0, self.ranked_distances)[sizes[ranked]]
+        ranked = sizes <= len(known)
+        risk = (len(needs) - np.cumsum(counts)) / len(needs)
+        distances = np.append(0.0, known)[sizes[ranked]]
         return pd.DataFrame(
             {
                 "margin_voxels": sizes[ranked],

@@ -9,7 +9,7 @@ voxel above). Voxels beyond the volume do not exist.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import product
+from functools import cached_property
 
 import numpy as np
 from scipy import stats
@@ -17,6 +17,7 @@ from scipy import stats
 from study.margins.motion import _kernels as motion
 from study.margins.region import Region
 from study.margins.sweep import _kernels
+from study.threads import in_threads
 
 #: Answers remembered at most: 4 bytes each.
 _MOST_REMEMBERED = 60_000_000
@@ -51,7 +52,10 @@ class RiskEstimate:
 
 @dataclass(frozen=True, eq=False)
 class Corners:
-    """Lattice corners that may be milled and reach the structure, each with a value, sorted for the sweep."""
+    """Lattice corners that may be milled and can reach the structure, each with a value, in blocks.
+
+    See `study.margins.sweep._kernels.arrange`.
+    """
 
     corners: np.ndarray
     values: np.ndarray
@@ -59,89 +63,79 @@ class Corners:
     leaf_low: np.ndarray
     leaf_high: np.ndarray
     group_start: np.ndarray
-    group_low: np.ndarray
-    group_high: np.ndarray
-    group_most: np.ndarray
 
-
-def arranged(where: np.ndarray, value: np.ndarray, lattice: tuple[int, int, int]) -> Corners:
-    """Corners sorted into blocks.
-
-    Parameters
-    ----------
-    where : (n, 3) int32 array
-        Corners.
-    value : (n,) int32 array
-        Not increasing.
-    lattice : (3,) ints
-        Shape of the lattice.
-    """
-    size = _kernels.LEAF * _kernels.GROUP
-    groups = int(np.prod([(n - 1) // size + 1 for n in lattice]))
-    leaves = min(groups * _kernels.GROUP**3, len(where))
-    corners, values = np.empty_like(where), np.empty_like(value)
-    leaf_start = np.empty(leaves + 1, np.int64)
-    low, high = np.empty((leaves, 3), np.int64), np.empty((leaves, 3), np.int64)
-    group_start = np.empty(groups + 1, np.int64)
-    leaves, groups = _kernels.arrange(
-        where, value, np.array(lattice), corners, values, leaf_start, low, high, group_start
-    )
-    leaf_start, low, high = leaf_start[: leaves + 1], low[:leaves], high[:leaves]
-    group_start = group_start[: groups + 1]
-    first = group_start[:-1]
-    if groups == 0:
-        empty = np.empty((0, 3), np.int64)
-        return Corners(
-            corners, values, leaf_start, low, high, group_start, empty, empty, np.empty(0, np.int32)
+    @cached_property
+    def groups(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Smallest and largest corner and largest value of each group."""
+        first = self.group_start[:-1]
+        return (
+            np.minimum.reduceat(self.leaf_low, first),
+            np.maximum.reduceat(self.leaf_high, first),
+            np.maximum.reduceat(self.values[self.leaf_start[:-1]], first),
         )
-    return Corners(
-        corners,
-        values,
-        leaf_start,
-        low,
-        high,
-        group_start,
-        np.minimum.reduceat(low, first),
-        np.maximum.reduceat(high, first),
-        np.maximum.reduceat(values[leaf_start[:-1]], first),
-    )
 
 
-def ranked_corners(region: Region, order: np.ndarray) -> Corners:
+def ranked_corners(region: Region, order: np.ndarray, reaching: np.ndarray, above: int = 0) -> Corners:
     """Every corner that may be milled, with the largest rank of the voxels that it touches.
 
-    It may be milled by margins of fewer voxels than that.
+    It may be milled by margins of fewer voxels than that. Voxels without a rank come after all others.
 
     Parameters
     ----------
     region : Region
     order : (n,) int array
         Flat indices of voxels in the box, the first to enter the margin first.
+    reaching : (nx + 1, ny + 1, nz + 1) uint8 array
+        See `Region.reaching_corners`.
+    above : int
+        Corners worth no more are left out.
     """
-    state = region.solid.copy()
-    state.reshape(-1)[order] = 2
-    room = 8 * len(order) + 1024
-    while True:
-        where, value = np.empty((room, 3), np.int32), np.empty(room, np.int32)
-        room = _kernels.exposed_corners(order, state, where, value)
-        if room <= len(where):
-            break
-    where, value = where[:room], value[:room]
-    return arranged(where, value, tuple(n + 1 for n in region.shape))
+    rank = np.full(region.shape, len(order) + 1, np.int32)
+    rank.reshape(-1)[order] = np.arange(1, len(order) + 1, dtype=np.int32)
+    rank[region.solid == 1] = 0
+    return Corners(*_kernels.arrange(rank, reaching, above, False))
 
 
-def shell_corners(union: np.ndarray) -> Corners:
+def shell_corners(union: np.ndarray, reaching: np.ndarray) -> Corners:
     """The corners between structure with margin and the shell around it, each of value 1."""
-    where = np.empty((max(1024, 2 * int(np.count_nonzero(union))), 3), np.int32)
-    count = _kernels.shell_corners(union, where)
-    if count > len(where):
-        where = np.empty((count, 3), np.int32)
-        _kernels.shell_corners(union, where)
-    return arranged(where[:count], np.ones(count, np.int32), tuple(n + 1 for n in union.shape))
+    return Corners(*_kernels.arrange((union == 0).astype(np.int32), reaching, 0, True))
+
+
+class Memory:
+    """Answers of blocks of corners to offsets, shared by all sweeps over the same corners.
+
+    Threads may fill it together: whoever comes first, the answer is the same.
+
+    Parameters
+    ----------
+    corners : Corners
+    moves : (n, 3, 4) float array
+        Of the registrations that it is to serve; others are served too, but slowly.
+    shape : (3,) ints
+        Of the region's box.
+    """
+
+    def __init__(self, corners: Corners, moves: np.ndarray, shape: tuple[int, int, int]) -> None:
+        lattice = np.array(shape) + 1
+        low, high = np.empty((1, 3), np.int64), np.empty((1, 3), np.int64)
+        motion.offsets_of_blocks(moves, lattice, int(lattice.max()), low, high)
+        counts = high[0] - low[0] + 1
+        leaves, groups = len(corners.leaf_start) - 1, len(corners.group_start) - 1
+        offsets = int(np.prod(counts))
+        self.use = offsets * (leaves + groups) <= _MOST_REMEMBERED
+        self.table = np.column_stack([low[0], counts])
+        # Pages of zeros that nobody writes to take no memory.
+        self.leaves = np.zeros((leaves, offsets) if self.use else (1, 1), np.int32)
+        self.groups = np.zeros((groups, offsets) if self.use else (1, 1), np.int32)
 
 
 def largest_values(
-    corners: Corners, region: Region, transforms: np.ndarray, above: int = 0, first_only: bool = False
+    corners: Corners,
+    region: Region,
+    transforms: np.ndarray,
+    above: int = 0,
+    first_only: bool = False,
+    memory: Memory | None = None,
 ) -> np.ndarray:
     """For each transform the largest value of the corners that it carries into the structure.
 
@@ -155,6 +149,8 @@ def largest_values(
         Smaller values do not count.
     first_only : bool
         Only ask whether there is one: the value found is any above `above`.
+    memory : Memory, optional
+        Of the same corners.
 
     Returns
     -------
@@ -165,13 +161,9 @@ def largest_values(
     out = np.full(len(moves), above, np.int32)
     if len(corners.values) == 0:
         return out
-    low, counts = _offsets_that_occur(moves, region.shape)
-    offsets = int(np.prod(counts))
-    use = offsets * (len(corners.leaf_start) + len(corners.group_start)) <= _MOST_REMEMBERED
-    table = np.column_stack([low, counts])
+    memory = memory or Memory(corners, moves, region.shape)
 
     def part(piece: slice) -> None:
-        leaves, groups = (len(corners.leaf_start) - 1, len(corners.group_start) - 1) if use else (1, 1)
         _kernels.sweep(
             moves[piece],
             region.solid,
@@ -181,25 +173,15 @@ def largest_values(
             corners.leaf_low,
             corners.leaf_high,
             corners.group_start,
-            corners.group_low,
-            corners.group_high,
-            corners.group_most,
-            np.zeros((leaves, offsets if use else 1), np.int32),
-            np.zeros((groups, offsets if use else 1), np.int32),
-            table,
-            use,
+            *corners.groups,
+            memory.leaves,
+            memory.groups,
+            memory.table,
+            memory.use,
             above,
             first_only,
             out[piece],
         )
 
-    part(slice(None))
+    in_threads(part, len(moves), least=2000)
     return out
-
-
-def _offsets_that_occur(moves: np.ndarray, shape: tuple[int, int, int]) -> tuple[np.ndarray, np.ndarray]:
-    """Least offset along each axis of any corner of a box by any transform, and how many from there on."""
-    box = np.array(list(product(*((0, n) for n in shape))), dtype=float)
-    low, high = np.empty(3, np.int64), np.empty(3, np.int64)
-    motion.offset_range(moves, box, low, high)
-    return low, high - low + 1

@@ -16,10 +16,11 @@ from study.errors import InputError
 from study.margins.distances import _kernels
 from study.margins.region import Region
 from study.registration.moments import DisplacementMoments
+from study.threads import in_threads
 
 #: Covariances get this share of the largest variance along every axis, so that there is a (very long)
 #: distance also along a direction in which nothing scatters.
-_FLOOR = 1e-12
+_LEAST = 1e-12
 
 
 def euclidean() -> DisplacementMoments:
@@ -30,14 +31,18 @@ def euclidean() -> DisplacementMoments:
     return DisplacementMoments(np.zeros(3), covariance.reshape(12, 12))
 
 
-def widest_deviation(region: Region, moments: DisplacementMoments) -> float:
-    """Largest standard deviation of the error in the box, along any direction, mm.
+def widest_deviations(points: np.ndarray, moments: DisplacementMoments) -> np.ndarray:
+    """(m,) largest standard deviation of the error at (m, 3) points along any direction, mm.
 
-    Along a direction the variance is convex in the point, so that it is largest at a corner of the box.
+    Along every direction the variance is convex in the point, so that in a box this is largest at a corner.
     """
-    box = np.array(list(product(*((-0.5, n - 0.5) for n in region.shape))))
-    points = box @ region.affine[:3, :3].T + region.affine[:3, 3]
-    return float(np.sqrt(np.linalg.eigvalsh(moments.at(points))[:, -1].max()))
+    return np.sqrt(np.linalg.eigvalsh(moments.at(points))[:, -1].clip(0))
+
+
+def widest_deviation(region: Region, moments: DisplacementMoments) -> float:
+    """Largest standard deviation of the error in the box, along any direction, mm."""
+    box = np.array(list(product(*((0, n) for n in region.shape))))
+    return float(widest_deviations(region.corner_points(box), moments).max())
 
 
 def smallest_distances(
@@ -72,34 +77,39 @@ def smallest_distances(
     _kernels.surface_corners(region.solid, surface)
     above, below = np.empty(surface.shape, np.int16), np.empty(surface.shape, np.int16)
     _kernels.next_along_lines(surface, above, below)
-    floor = _FLOOR * widest**2
-    columns, lengths = _columns(region.affine, cut * np.sqrt(widest**2 + floor))
+    in_voxels = _in_voxels(region, moments)
+    corners = np.array(list(product(*((-0.5, n - 0.5) for n in region.shape), (1.0,))))
+    across = np.einsum("mj,ajbk,mk->mab", corners, in_voxels[:2, :, :2], corners)
+    largest = float(np.linalg.eigvalsh(across)[:, -1].max())
+    least = _LEAST * largest
+    columns, lengths = _columns(cut * np.sqrt(largest + least))
     out = np.empty(len(voxels))
-    _kernels.smallest_distances(
-        voxels,
-        above,
-        below,
-        np.ascontiguousarray(region.affine[:3, :3]),
-        region.affine[:3, 3] - moments.centre,
-        np.ascontiguousarray(moments.covariance).reshape(3, 4, 3, 4),
-        floor,
-        columns,
-        lengths,
-        cut,
-        out,
-    )
+
+    def part(piece: slice) -> None:
+        _kernels.smallest_distances(
+            voxels[piece], above, below, in_voxels, least, columns, lengths, cut, out[piece]
+        )
+
+    in_threads(part, len(voxels), least=5000)
     return out
 
 
-def _columns(affine: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray]:
-    """(m, 2) steps from a voxel to the lines of corners within `reach` mm, and their squared distances."""
-    to_mm = affine[:3, :3]
-    along = to_mm[:, 2] / np.linalg.norm(to_mm[:, 2])
-    most = np.ceil(reach * np.linalg.norm(np.linalg.inv(to_mm), axis=1)[:2] + 0.5).astype(int)
-    grid = np.stack(np.meshgrid(*(np.arange(1 - m, m + 1) for m in most), indexing="ij"), -1).reshape(-1, 2)
-    across = (grid - 0.5) @ to_mm[:, :2].T
-    across -= np.outer(across @ along, along)
-    lengths = (across**2).sum(axis=1)
+def _in_voxels(region: Region, moments: DisplacementMoments) -> np.ndarray:
+    """(3, 4, 3, 4) covariance of ``[G, u]`` for places and displacements in voxels of the region's box."""
+    covariance = moments.about(region.affine[:3, 3]).covariance.reshape(3, 4, 3, 4)
+    places = np.eye(4)
+    places[:3, :3] = region.affine[:3, :3]
+    steps = np.linalg.inv(region.affine[:3, :3])
+    found = np.einsum("ra,ajbk,ju,kv,cb->rucv", steps, covariance, places, places, steps, optimize=True)
+    return np.ascontiguousarray(found)
+
+
+def _columns(reach: float) -> tuple[np.ndarray, np.ndarray]:
+    """(m, 2) steps from a voxel to lines of corners within `reach` voxels, and their squared distances."""
+    most = int(np.ceil(reach + 0.5))
+    steps = np.arange(1 - most, most + 1)
+    grid = np.stack(np.meshgrid(steps, steps, indexing="ij"), -1).reshape(-1, 2)
+    lengths = ((grid - 0.5) ** 2).sum(axis=1)
     order = np.argsort(lengths, kind="stable")
     return grid[order], lengths[order]
 

@@ -43,7 +43,9 @@ def shell_of(union: np.ndarray) -> np.ndarray:
 
 def risk_of(region: Region, union: np.ndarray, transforms: np.ndarray) -> RiskEstimate:
     """Overall damage risk when all that surrounds `union` (structure and margin) may be milled."""
-    hits = largest_values(shell_corners(union), region, transforms, first_only=True)
+    hits = largest_values(
+        shell_corners(union, region.reaching_corners(transforms)), region, transforms, first_only=True
+    )
     return RiskEstimate(int(np.count_nonzero(hits)), len(transforms))
 
 

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
 
 from study.errors import InputError
-from study.margins.distances import _kernels
 from study.margins.motion import _kernels as motion
 from study.volumes import LabelVolume
 
+# Edge, in voxels, of the blocks for which offsets and deviations are bounded.
+_BLOCK = 48
 #: Structures of fewer voxels are specks of a segmentation, not anatomy.
 LEAST_VOXELS = 10
 
@@ -78,12 +80,44 @@ class Region:
         motion.lattice_moves(transforms, np.linalg.inv(to_mm), to_mm, first, out)
         return out
 
-    def near(self, reach: float) -> np.ndarray:
-        """(n, 3) voxels outside the structure, `reach` mm and a voxel from it or nearer (and some more)."""
-        width = np.ceil(reach * steps_per_mm(self.affine)).astype(np.int64) + 1
+    def reaching_corners(self, transforms: np.ndarray) -> np.ndarray:
+        """(nx + 1, ny + 1, nz + 1) uint8 array: corners that a transform may carry into the structure.
+
+        Every corner that one does carry there, and some more.
+        """
+        out = np.zeros(tuple(n + 1 for n in self.shape), np.uint8)
+        low, high = self._of_blocks(out.shape), self._of_blocks(out.shape)
+        motion.offsets_of_blocks(self.moves(transforms), np.array(out.shape), _BLOCK, low, high)
+        motion.reaching(self.solid, _BLOCK, low, high, out)
+        return out
+
+    def near(self, deviations: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+        """(n, 3) voxels outside the structure that are near it.
+
+        Parameters
+        ----------
+        deviations : callable
+            From (m, 3) points in mm to (m,) mm: how near counts there; convex.
+
+        Returns
+        -------
+        (n, 3) int array
+            All voxels with their centre as near to a corner of the structure's surface, and some more.
+        """
+        blocks = np.argwhere(np.ones([-(-n // _BLOCK) for n in self.shape], bool)) * _BLOCK
+        ends = np.minimum(blocks + _BLOCK, self.shape) - 1
+        reach = np.zeros(len(blocks))
+        for pick in product((False, True), repeat=3):
+            points = np.where(pick, ends, blocks) @ self.affine[:3, :3].T + self.affine[:3, 3]
+            reach = np.maximum(reach, deviations(points))
+        width = np.ceil(reach[:, None] * steps_per_mm(self.affine)).astype(np.int64) + 1
         out = np.zeros(self.shape, np.uint8)
-        _kernels.widen(self.solid, width, out)
-        return np.argwhere((out == 1) & (self.solid == 0))
+        motion.reaching(self.solid, _BLOCK, -width, width, out)
+        return np.argwhere(out > self.solid)
+
+    @staticmethod
+    def _of_blocks(shape: tuple[int, int, int]) -> np.ndarray:
+        return np.empty((int(np.prod([-(-n // _BLOCK) for n in shape])), 3), np.int64)
 
 
 def steps_per_mm(affine: np.ndarray) -> np.ndarray:

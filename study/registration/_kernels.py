@@ -11,7 +11,7 @@ from math import sqrt
 
 import numpy as np
 
-from study._compiled import inner, kernel
+from study._compiled import inner, kernel, threaded
 
 SWEEPS = 30  # of Jacobi rotations; six are enough in practice
 
@@ -69,7 +69,7 @@ def _largest_eigenvector(a, v, q):
         q[k] = v[k, best]
 
 
-@kernel
+@threaded
 def register_many(moving, fixed, weights, out):
     """Fit ``fixed ~ R moving + t`` for each of many sets of points.
 

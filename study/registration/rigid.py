@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from study.errors import InputError
 from study.registration import _kernels
+from study.threads import in_threads
 
 #: Second singular value of centred points over the first: below it they count as collinear.
 COLLINEAR = 1e-6
@@ -129,11 +130,11 @@ def register_many(moving: np.ndarray, fixed: np.ndarray, weights: np.ndarray) ->
         mm.
     weights : (n,) array
     """
+    moving, fixed, weights = (np.ascontiguousarray(x, dtype=float) for x in (moving, fixed, weights))
     out = np.empty((len(moving), 4, 4))
-    _kernels.register_many(
-        np.ascontiguousarray(moving, dtype=float),
-        np.ascontiguousarray(fixed, dtype=float),
-        np.ascontiguousarray(weights, dtype=float),
-        out,
-    )
+
+    def part(piece: slice) -> None:
+        _kernels.register_many(moving[piece], fixed[piece], weights, out[piece])
+
+    in_threads(part, len(moving), least=5000)
     return out

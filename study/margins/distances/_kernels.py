@@ -6,11 +6,11 @@ Lattice corner ``(a, b, c)`` touches the voxels ``a - 1 .. a`` and so on.
 
 from __future__ import annotations
 
-from math import acos, cos, floor, sqrt
+from math import floor, sqrt
 
 import numpy as np
 
-from study._compiled import inlined, kernel
+from study._compiled import inlined, kernel, threaded
 
 NO_CORNER = 32000  # farther than any
 
@@ -130,81 +130,67 @@ def next_along_lines(surface, above, below):
                 above[a, b, c] = last
 
 
-@inlined
-def _largest_eigenvalue(xx, yy, zz, xy, xz, yz):
-    """Of a symmetric (3, 3) matrix, in closed form."""
-    mean = (xx + yy + zz) / 3
-    off = xy * xy + xz * xz + yz * yz
-    p2 = (xx - mean) ** 2 + (yy - mean) ** 2 + (zz - mean) ** 2 + 2 * off
-    p = sqrt(p2 / 6) + 1e-300
-    ax, ay, az = (xx - mean) / p, (yy - mean) / p, (zz - mean) / p
-    bxy, bxz, byz = xy / p, xz / p, yz / p
-    half = 0.5 * (ax * (ay * az - byz * byz) - bxy * (bxy * az - byz * bxz) + bxz * (bxy * byz - ay * bxz))
-    return mean + 2 * p * cos(acos(min(1.0, max(-1.0, half))) / 3)
-
-
-@kernel
-def smallest_distances(voxels, above, below, matrix, corner, moments, floor_mm2, columns, lengths, cut, out):
+@threaded
+def smallest_distances(voxels, above, below, moments, least, columns, lengths, cut, out):
     """Smallest Mahalanobis distance from voxel centres to surface corners.
 
     The covariance at a voxel's own centre is its metric. Lines of corners along the last axis are
-    looked at one after the other, the nearest first: on a line the squared distance is a parabola, so that
-    only the surface corners on either side of its lowest point matter.
+    looked at one after the other, the nearest first. What the first two components of a displacement say of
+    its square is their own Mahalanobis distance; given them, the third has a mean and a variance of its
+    own, so that on a line the square is a parabola and only the surface corners on either side of its
+    lowest point matter.
 
     Parameters
     ----------
     voxels : (n, 3) int array
-        Indices in the lattice's box.
+        Indices in the lattice's box; fastest when neighbours along the last axis follow each other.
     above, below : int16 arrays
         See `next_along_lines`.
-    matrix : (3, 3) float array
-        Voxel steps to mm.
-    corner : (3,) float array
-        mm from the centre of the moments to the centre of voxel (0, 0, 0).
     moments : (3, 4, 3, 4) float array
-        Covariance of the displacement's parameters, see `DisplacementMoments`.
-    floor_mm2 : float
-        Added to the diagonal of every covariance, mm^2, so that it can be inverted.
+        Covariance of the displacement ``[G, u] (i, j, k, 1)`` at a voxel, in voxels.
+    least : float
+        Added to the variance along every axis, so that there is an inverse.
     columns : (m, 2) int array
         From a voxel to a line of corners, by increasing length.
     lengths : (m,) float array
-        Squared mm from the voxel's centre to that line.
+        Squared voxels from the voxel's centre to that line.
     cut : float
         Distances of this and more do not matter.
     out : (n,) float array
         Receives distances, infinity for those that do not matter.
     """
+    nx, ny, nz = above.shape
     p = np.empty(4)
     p[3] = 1.0
-    cov = np.empty((3, 3))
-    inv = np.empty((3, 3))
-    q = np.empty((3, 3))
-    nx, ny, nz = above.shape
+    flat = np.empty((3, 3))  # the covariance on a line along the last axis: flat + slope k + bend k^2
+    slope = np.empty((3, 3))
+    bend = np.empty((3, 3))
+    last_i, last_j = -1, -1
     for n in range(voxels.shape[0]):
         i, j, k = voxels[n, 0], voxels[n, 1], voxels[n, 2]
-        for r in range(3):
-            p[r] = corner[r] + matrix[r, 0] * i + matrix[r, 1] * j + matrix[r, 2] * k
-        for r in range(3):
-            for c in range(r, 3):
-                value = 0.0
-                for u in range(4):
-                    for v in range(4):
-                        value += p[u] * moments[r, u, c, v] * p[v]
-                cov[r, c] = value
-        xx, yy, zz = cov[0, 0] + floor_mm2, cov[1, 1] + floor_mm2, cov[2, 2] + floor_mm2
-        xy, xz, yz = cov[0, 1], cov[0, 2], cov[1, 2]
-        widest = _largest_eigenvalue(xx, yy, zz, xy, xz, yz) * (1 + 1e-9)
-        inv[0, 0], inv[1, 1], inv[2, 2] = yy * zz - yz * yz, xx * zz - xz * xz, xx * yy - xy * xy
-        inv[0, 1], inv[0, 2], inv[1, 2] = xz * yz - xy * zz, xy * yz - xz * yy, xy * xz - xx * yz
-        inv[1, 0], inv[2, 0], inv[2, 1] = inv[0, 1], inv[0, 2], inv[1, 2]
-        det = xx * inv[0, 0] + xy * inv[0, 1] + xz * inv[0, 2]
-        for r in range(3):  # the metric in voxel steps
-            for c in range(r, 3):
-                value = 0.0
-                for u in range(3):
-                    for v in range(3):
-                        value += matrix[u, r] * inv[u, v] * matrix[v, c]
-                q[r, c] = value / det
+        if i != last_i or j != last_j:
+            last_i, last_j = i, j
+            p[0], p[1], p[2] = i, j, 0.0
+            for r in range(3):
+                for c in range(r, 3):
+                    flat[r, c] = least if r == c else 0.0
+                    slope[r, c] = 0.0
+                    for u in range(4):
+                        for v in range(4):
+                            flat[r, c] += p[u] * moments[r, u, c, v] * p[v]
+                        slope[r, c] += (moments[r, u, c, 2] + moments[r, 2, c, u]) * p[u]
+                    bend[r, c] = moments[r, 2, c, 2]
+        xx = flat[0, 0] + k * (slope[0, 0] + k * bend[0, 0])
+        yy = flat[1, 1] + k * (slope[1, 1] + k * bend[1, 1])
+        zz = flat[2, 2] + k * (slope[2, 2] + k * bend[2, 2])
+        xy = flat[0, 1] + k * (slope[0, 1] + k * bend[0, 1])
+        xz = flat[0, 2] + k * (slope[0, 2] + k * bend[0, 2])
+        yz = flat[1, 2] + k * (slope[1, 2] + k * bend[1, 2])
+        det = xx * yy - xy * xy
+        ixx, iyy, ixy = yy / det, xx / det, -xy / det
+        gx, gy = ixx * xz + ixy * yz, ixy * xz + iyy * yz
+        sharp = 1.0 / (zz - gx * xz - gy * yz)
+        widest = (0.5 * (xx + yy) + sqrt(0.25 * (xx - yy) ** 2 + xy * xy)) * (1 + 1e-9)
         best = cut * cut
         for m in range(columns.shape[0]):
             if lengths[m] >= best * widest:
@@ -213,16 +199,15 @@ def smallest_distances(voxels, above, below, matrix, corner, moments, floor_mm2,
             if a < 0 or b < 0 or a >= nx or b >= ny:
                 continue
             s, t = columns[m, 0] - 0.5, columns[m, 1] - 0.5
-            lean = -(q[0, 2] * s + q[1, 2] * t) / q[2, 2]  # where on the line the parabola is lowest
-            base = q[0, 0] * s * s + 2 * q[0, 1] * s * t + q[1, 1] * t * t - q[2, 2] * lean * lean
+            base = ixx * s * s + 2 * ixy * s * t + iyy * t * t
             if base >= best:
                 continue
-            lowest = k + 0.5 + lean
-            c = int(floor(lowest))
+            lowest = k + 0.5 + gx * s + gy * t
+            c = min(max(int(floor(lowest)), -1), nz - 1)
             if c < nz - 1:
-                u = above[a, b, max(c + 1, 0)] - lowest
-                best = min(best, base + q[2, 2] * u * u)
+                u = above[a, b, c + 1] - lowest
+                best = min(best, base + sharp * u * u)
             if c >= 0:
-                u = below[a, b, min(c, nz - 1)] - lowest
-                best = min(best, base + q[2, 2] * u * u)
+                u = below[a, b, c] - lowest
+                best = min(best, base + sharp * u * u)
         out[n] = sqrt(best) if best < cut * cut else np.inf

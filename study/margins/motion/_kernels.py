@@ -4,7 +4,11 @@ from __future__ import annotations
 
 from math import floor, sqrt
 
+import numpy as np
+
 from study._compiled import kernel
+
+SLACK = 1e-9  # voxels: rounding must not hide an offset
 
 
 @kernel
@@ -54,25 +58,90 @@ def lattice_moves(transforms, to_voxels, to_mm, first, out):
 
 
 @kernel
-def offset_range(moves, corners, low, high):
-    """Write the least and largest whole-voxel offset along each axis of any of (m, 3) corners.
+def offsets_of_blocks(moves, shape, block, low, high):
+    """Write the least and largest whole-voxel offset, along each axis, of the corners of every block.
 
     Parameters
     ----------
     moves : (n, 3, 4) float array
         See `lattice_moves`.
-    corners : (m, 3) float array
-    low, high : (3,) int arrays
+    shape : (3,) int array
+        Of the lattice of corners.
+    block : int
+        Edge of a block in lattice steps; blocks are numbered with the last axis fastest.
+    low, high : (blocks, 3) int arrays
     """
-    for r in range(3):
-        least = 1e18
-        most = -1e18
-        for n in range(moves.shape[0]):
-            for m in range(corners.shape[0]):
-                value = moves[n, r, 3]
+    by, bz = (shape[1] - 1) // block + 1, (shape[2] - 1) // block + 1
+    first = np.empty(3)
+    last = np.empty(3)
+    for b in range(low.shape[0]):
+        first[0], first[1], first[2] = b // (by * bz) * block, b // bz % by * block, b % bz * block
+        for c in range(3):
+            last[c] = min(first[c] + block, shape[c]) - 1
+        for r in range(3):
+            least = np.inf
+            most = -np.inf
+            for n in range(moves.shape[0]):
+                middle = moves[n, r, 3]
+                half = SLACK
                 for c in range(3):
-                    value += moves[n, r, c] * corners[m, c]
-                least = min(least, value)
-                most = max(most, value)
-        low[r] = int(floor(least))
-        high[r] = int(floor(most))
+                    middle += moves[n, r, c] * 0.5 * (first[c] + last[c])
+                    half += abs(moves[n, r, c]) * 0.5 * (last[c] - first[c])
+                least = min(least, middle - half)
+                most = max(most, middle + half)
+            low[b, r] = int(floor(least))
+            high[b, r] = int(floor(most))
+
+
+@kernel
+def reaching(solid, block, low, high, out):
+    """Set `out` where the structure is at one of the offsets that a place's block allows.
+
+    Parameters
+    ----------
+    solid : (nx, ny, nz) uint8 array
+        The structure.
+    block : int
+        Edge of a block.
+    low, high : (blocks, 3) int arrays
+        Offsets allowed along each axis, both ends included.
+    out : (mx, my, mz) uint8 array
+        All 0 at first; set at ``c`` where ``solid[c + offset]`` is for an offset of its block.
+    """
+    nx, ny, nz = solid.shape
+    mx, my, mz = out.shape
+    by, bz = (my - 1) // block + 1, (mz - 1) // block + 1
+    for b in range(low.shape[0]):
+        a0, b0, c0 = b // (by * bz) * block, b // bz % by * block, b % bz * block
+        a1, b1, c1 = min(a0 + block, mx), min(b0 + block, my), min(c0 + block, mz)
+        x0, x1 = max(a0 + low[b, 0], 0), min(a1 + high[b, 0], nx)
+        y0, y1 = max(b0 + low[b, 1], 0), min(b1 + high[b, 1], ny)
+        if x1 <= x0 or y1 <= y0:
+            continue
+        lines = np.zeros((x1 - x0, y1 - y0, c1 - c0), np.uint8)
+        found = False
+        for x in range(x0, x1):
+            for y in range(y0, y1):
+                last = -(1 << 60)
+                ahead = max(c0 + low[b, 2], 0)
+                for c in range(c0, c1):
+                    while ahead <= c + high[b, 2] and ahead < nz:
+                        if solid[x, y, ahead]:
+                            last = ahead
+                        ahead += 1
+                    if last >= c + low[b, 2]:
+                        lines[x - x0, y - y0, c - c0] = 1
+                        found = True
+        if not found:
+            continue
+        sheets = np.zeros((x1 - x0, b1 - b0, c1 - c0), np.uint8)
+        for x in range(x1 - x0):
+            for j in range(b0, b1):
+                for y in range(max(j + low[b, 1], y0), min(j + high[b, 1] + 1, y1)):
+                    for c in range(c1 - c0):
+                        sheets[x, j - b0, c] |= lines[x, y - y0, c]
+        for i in range(a0, a1):
+            for x in range(max(i + low[b, 0], x0), min(i + high[b, 0] + 1, x1)):
+                for j in range(b1 - b0):
+                    for c in range(c1 - c0):
+                        out[i, b0 + j, c0 + c] |= sheets[x - x0, j, c]

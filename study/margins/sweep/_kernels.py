@@ -18,7 +18,7 @@ from math import floor
 
 import numpy as np
 
-from study._compiled import inlined, kernel
+from study._compiled import inlined, inner, kernel, threaded
 
 LEAF = 8  # lattice steps
 GROUP = 4  # leaves
@@ -28,183 +28,152 @@ MOST_OFFSETS = 27  # a block that may have more is not bounded but opened
 
 
 @kernel
-def exposed_corners(order, state, where, value):
-    """List the corners of ranked voxels and those where unranked ones touch the structure, worthiest first.
+def arrange(rank, reaching, above, shell_only):
+    """List the lattice corners that matter, in leaves and groups, each leaf's most valuable corner first.
 
     Parameters
     ----------
-    order : (n,) int array
-        Flat indices of voxels by increasing rank; the rank of ``order[r]`` is ``r + 1``.
-    state : (nx, ny, nz) uint8 array
-        1 inside the structure, 2 where a voxel has a rank, 0 elsewhere.
-    where : (m, 3) int32 array
-        Receives corners.
-    value : (m,) int32 array
-        Receives the largest rank of the voxels that a corner touches; n + 1 where it touches a voxel
-        that is neither ranked nor in the structure.
+    rank : (nx, ny, nz) int32 array
+        When a voxel enters the margin; 0 in the structure. A corner is worth the largest rank of the voxels
+        that it touches.
+    reaching : (nx + 1, ny + 1, nz + 1) uint8 array
+        Corners that a transform may carry into the structure.
+    above : int
+        Corners worth no more do not matter.
+    shell_only : bool
+        Only corners that also touch a voxel of rank 0.
 
     Returns
     -------
-    int
-        Number of corners; more than `where` holds if some could not be written.
+    corners : (n, 3) int32 array
+    values : (n,) int32 array
+    leaf_start : (leaves + 1,) int array
+        First corner of each leaf.
+    leaf_low, leaf_high : (leaves, 3) int arrays
+        Smallest and largest corner of each.
+    group_start : (groups + 1,) int array
+        First leaf of each group.
     """
-    nx, ny, nz = state.shape
-    seen = np.zeros((nx + 1, ny + 1, nz + 1), np.uint8)
-    beyond = order.shape[0] + 1
-    count = 0
-    # What touches an unranked voxel comes first: it is worth most.
-    for unranked in (True, False):
-        for r in range(order.shape[0] - 1, -1, -1):
-            flat = order[r]
-            i, j, k = flat // (ny * nz), (flat // nz) % ny, flat % nz
-            for a in range(i, i + 2):
-                for b in range(j, j + 2):
-                    for c in range(k, k + 2):
-                        if seen[a, b, c] or (unranked and not _touches(state, a, b, c, 0)):
-                            continue
-                        seen[a, b, c] = 1
-                        where[count, 0] = a
-                        where[count, 1] = b
-                        where[count, 2] = c
-                        value[count] = beyond if unranked else r + 1
-                        count += 1
-        if unranked:
-            for i in range(nx):
-                for j in range(ny):
-                    for k in range(nz):
-                        if state[i, j, k] != 1:
-                            continue
-                        for a in range(i, i + 2):
-                            for b in range(j, j + 2):
-                                for c in range(k, k + 2):
-                                    if seen[a, b, c] or not _touches(state, a, b, c, 0):
-                                        continue
-                                    seen[a, b, c] = 1
-                                    if count < where.shape[0]:
-                                        where[count, 0] = a
-                                        where[count, 1] = b
-                                        where[count, 2] = c
-                                        value[count] = beyond
-                                    count += 1
-    return count
-
-
-@inlined
-def _touches(state, a, b, c, wanted):
-    """Whether a lattice corner touches a voxel of a state."""
-    nx, ny, nz = state.shape
-    found = False
-    for x in range(max(a - 1, 0), min(a + 1, nx)):
-        for y in range(max(b - 1, 0), min(b + 1, ny)):
-            for z in range(max(c - 1, 0), min(c + 1, nz)):
-                if state[x, y, z] == wanted:
-                    found = True
-    return found
-
-
-@kernel
-def shell_corners(union, where):
-    """List the lattice corners that touch voxels inside and outside of `union`.
-
-    Returns
-    -------
-    int
-        Number of corners.
-    """
-    nx, ny, nz = union.shape
-    seen = np.zeros((nx + 1, ny + 1, nz + 1), np.uint8)
-    count = 0
-    for i in range(nx):
-        for j in range(ny):
-            for k in range(nz):
-                if union[i, j, k] == 0:
-                    continue
-                for a in range(i, i + 2):
-                    for b in range(j, j + 2):
-                        for c in range(k, k + 2):
-                            if seen[a, b, c]:
-                                continue
-                            seen[a, b, c] = 1
-                            if _touches(union, a, b, c, 0):
-                                if count < where.shape[0]:
-                                    where[count, 0] = a
-                                    where[count, 1] = b
-                                    where[count, 2] = c
-                                count += 1
-    return count
-
-
-@kernel
-def arrange(where, value, shape, corners, values, leaf_start, leaf_low, leaf_high, group_start):
-    """Sort corners into leaves and leaves into groups; within a leaf the order stays.
-
-    Parameters
-    ----------
-    where : (n, 3) int32 array
-    value : (n,) int32 array
-        Not increasing.
-    shape : (3,) int array
-        Of the lattice.
-    corners, values : like `where` and `value`
-        Receive the sorted ones.
-    leaf_start : (most leaves + 1,) int array
-    leaf_low, leaf_high : (most leaves, 3) int arrays
-        Receive the smallest and largest corner of each leaf.
-    group_start : (most groups + 1,) int array
-        Receives the first leaf of each group.
-
-    Returns
-    -------
-    (int, int)
-        Numbers of leaves and groups.
-    """
+    nx, ny, nz = rank.shape
     size = LEAF * GROUP
-    gx, gy, gz = (shape[0] - 1) // size + 1, (shape[1] - 1) // size + 1, (shape[2] - 1) // size + 1
-    cells = np.zeros(gx * gy * gz * GROUP**3 + 1, np.int64)
-    n = where.shape[0]
-    for r in range(n):
-        cells[_cell(where, r, gy, gz) + 1] += 1
+    gx, gy, gz = nx // size + 1, ny // size + 1, nz // size + 1
+    corners = np.empty((1024, 3), np.int32)
+    values = np.empty(1024, np.int32)
+    leaf_start = np.empty(256, np.int64)
+    leaf_low = np.empty((256, 3), np.int64)
+    leaf_high = np.empty((256, 3), np.int64)
+    group_start = np.empty(gx * gy * gz + 1, np.int64)
+    keys = np.empty(LEAF**3, np.int64)
+    count = 0
     leaves = 0
     groups = 0
-    group_of_last = -1
-    total = 0
-    for cell in range(cells.shape[0] - 1):
-        count = cells[cell + 1]
-        if count:
-            if cell // GROUP**3 != group_of_last:
-                group_of_last = cell // GROUP**3
-                group_start[groups] = leaves
-                groups += 1
-            leaf_start[leaves] = total
+    for group in range(gx * gy * gz):
+        first = leaves
+        for cell in range(GROUP**3):
+            a0 = (group // (gy * gz)) * size + cell // (GROUP * GROUP) * LEAF
+            b0 = (group // gz % gy) * size + cell // GROUP % GROUP * LEAF
+            c0 = (group % gz) * size + cell % GROUP * LEAF
+            if not _any_set(reaching, a0, b0, c0):
+                continue
+            found = 0
+            for a in range(a0, min(a0 + LEAF, nx + 1)):
+                for b in range(b0, min(b0 + LEAF, ny + 1)):
+                    for c in range(c0, min(c0 + LEAF, nz + 1)):
+                        if reaching[a, b, c] == 0:
+                            continue
+                        worth = np.int64(-1)
+                        least = np.int64(1 << 40)
+                        for x in range(max(a - 1, 0), min(a + 1, nx)):
+                            for y in range(max(b - 1, 0), min(b + 1, ny)):
+                                for z in range(max(c - 1, 0), min(c + 1, nz)):
+                                    worth = max(worth, np.int64(rank[x, y, z]))
+                                    least = min(least, np.int64(rank[x, y, z]))
+                        if worth > above and (least == 0 or not shell_only):
+                            place = ((a - a0) * LEAF + b - b0) * LEAF + c - c0
+                            keys[found] = worth * LEAF**3 + place
+                            found += 1
+            if found == 0:
+                continue
+            _sort_decreasing(keys, found)
+            while count + found > values.shape[0]:
+                corners = _longer_rows(corners)
+                grown = np.empty(2 * values.shape[0], np.int32)
+                for r in range(count):
+                    grown[r] = values[r]
+                values = grown
+            if leaves + 2 > leaf_start.shape[0]:
+                leaf_low = _longer_rows(leaf_low)
+                leaf_high = _longer_rows(leaf_high)
+                starts = np.empty(2 * leaf_start.shape[0], np.int64)
+                for r in range(leaves):
+                    starts[r] = leaf_start[r]
+                leaf_start = starts
+            leaf_start[leaves] = count
+            for r in range(found):
+                place = keys[r] % LEAF**3
+                values[count] = keys[r] // LEAF**3
+                corners[count, 0] = a0 + place // (LEAF * LEAF)
+                corners[count, 1] = b0 + place // LEAF % LEAF
+                corners[count, 2] = c0 + place % LEAF
+                for t in range(3):
+                    if r == 0:
+                        leaf_low[leaves, t] = corners[count, t]
+                        leaf_high[leaves, t] = corners[count, t]
+                    leaf_low[leaves, t] = min(leaf_low[leaves, t], np.int64(corners[count, t]))
+                    leaf_high[leaves, t] = max(leaf_high[leaves, t], np.int64(corners[count, t]))
+                count += 1
             leaves += 1
-            total += count
-        cells[cell] = total - count  # where the next corner of this cell goes
-    leaf_start[leaves] = total
+        if leaves > first:
+            group_start[groups] = first
+            groups += 1
+    leaf_start[leaves] = count
     group_start[groups] = leaves
-    for r in range(n):
-        cell = _cell(where, r, gy, gz)
-        to = cells[cell]
-        cells[cell] += 1
-        values[to] = value[r]
-        for c in range(3):
-            corners[to, c] = where[r, c]
-    for leaf in range(leaves):
-        for c in range(3):
-            low = corners[leaf_start[leaf], c]
-            high = low
-            for r in range(leaf_start[leaf] + 1, leaf_start[leaf + 1]):
-                low = min(low, corners[r, c])
-                high = max(high, corners[r, c])
-            leaf_low[leaf, c] = low
-            leaf_high[leaf, c] = high
-    return leaves, groups
+    return (
+        corners[:count],
+        values[:count],
+        leaf_start[: leaves + 1],
+        leaf_low[:leaves],
+        leaf_high[:leaves],
+        group_start[: groups + 1],
+    )
 
 
-@inlined
-def _cell(where, r, gy, gz):
-    x, y, z = where[r, 0] // LEAF, where[r, 1] // LEAF, where[r, 2] // LEAF
-    group = ((x // GROUP) * gy + y // GROUP) * gz + z // GROUP
-    return ((group * GROUP + x % GROUP) * GROUP + y % GROUP) * GROUP + z % GROUP
+@inner
+def _longer_rows(array):
+    """The same rows in an array of twice the length."""
+    out = np.empty((2 * array.shape[0], 3), array.dtype)
+    for r in range(array.shape[0]):
+        for c in range(3):
+            out[r, c] = array[r, c]
+    return out
+
+
+@inner
+def _any_set(mask, a0, b0, c0):
+    """Whether any corner of a leaf is set."""
+    for a in range(a0, min(a0 + LEAF, mask.shape[0])):
+        for b in range(b0, min(b0 + LEAF, mask.shape[1])):
+            for c in range(c0, min(c0 + LEAF, mask.shape[2])):
+                if mask[a, b, c]:
+                    return True
+    return False
+
+
+@inner
+def _sort_decreasing(keys, n):
+    """Shell sort, in place."""
+    gap = 1
+    while gap < n // 3:
+        gap = 3 * gap + 1
+    while gap > 0:
+        for r in range(gap, n):
+            key = keys[r]
+            s = r
+            while s >= gap and keys[s - gap] < key:
+                keys[s] = keys[s - gap]
+                s -= gap
+            keys[s] = key
+        gap //= 3
 
 
 @inlined
@@ -307,7 +276,7 @@ def _corner_by_corner(solid, corners, values, first, last, move, best):
     return best
 
 
-@kernel
+@threaded
 def sweep(
     moves,
     solid,
