@@ -56,6 +56,11 @@ STYLES = {
     "air_cells": Style("#bcd9e8", 0.3, "air cells"),
     "middle_ear": Style("#a7c4cf", 0.4, "middle ear"),
     "intracranial": Style("#d3b8c4", 0.3, "brain"),
+    "margin": Style("#35b0a2", 0.35, "safety margin"),
+    "spared": Style("#0b6e63", 1.0, "margin in the target: spared"),
+    "analyzed_shell": Style("#c9ccd1", 1.0, "analyzed shell"),
+    "chosen": Style("#d1372c", 1.0, "chosen: riskiest voxels of the shell"),
+    "fiducial": Style("#23262b", 1.0, "fiducial"),
     "kidney": Style("#a8574a", 0.5, "kidney"),
     "tumour": Style("#3e8a3a", 1.0, "tumour"),
 }

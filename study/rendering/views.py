@@ -102,3 +102,8 @@ def side_view(approach: np.ndarray) -> View:
     up = -approach / np.linalg.norm(approach)
     across = np.array([0.0, 0.0, 1.0]) if abs(up[2]) < 0.9 else np.array([0.0, 1.0, 0.0])
     return View(across - (across @ up) * up, up)
+
+
+def posterior_on_right(approach: np.ndarray) -> float:
+    """1 if posterior is on the right of the view along the approach, else -1."""
+    return 1.0 if approach_view(approach).right[1] >= 0 else -1.0
