@@ -2,6 +2,7 @@
 
 from study.plots.boundary import boundary_figure, mill_plane, pocket
 from study.plots.freedom import bone_by_bone, bone_left, degree_ratios, over_holes, shaft_directions
+from study.plots.margin_tables import margin_volumes, risk_curves, stopping_rules
 from study.plots.modified import burr_and_voxels, dilation_into_air, modified_steps
 from study.plots.palette import STYLES, colour_of, style_of
 from study.plots.sections import Section, section
@@ -25,6 +26,7 @@ __all__ = [
     "flow_chart",
     "legend_below",
     "manhattan_labels",
+    "margin_volumes",
     "mill_plane",
     "modified_steps",
     "new_axes",
@@ -32,12 +34,14 @@ __all__ = [
     "over_holes",
     "patches",
     "pocket",
+    "risk_curves",
     "section",
     "shaft_directions",
     "short_path_plane",
     "show_labels",
     "simulations_in_step",
     "slab_collapse",
+    "stopping_rules",
     "style_of",
     "styled",
 ]
