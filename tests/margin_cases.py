@@ -75,10 +75,17 @@ def cases():
     yield "many voxels", one, around(one, 2.5, 5)
     centre = one.points(np.array([[2.0, 3, 15]]))[0]
     yield "turns of half a radian", two, RobotError(two.points(np.array([[3.0, 3, 3]]))[0], 0.3, 0.4)
-    yield "turns, shifts and scale", one, CombinedErrors(
-        [around(one, 0.2, 6), ImageError(centre, scale_std=0.03, position_std=(0.05, 0.1, 0.2)),
-         RobotError(centre, 0.1, 0.02, np.diag([0.01, 0.02, 0.03]), (5, 0, 0), 3.0)]
-    )  # fmt: skip
+    yield (
+        "turns, shifts and scale",
+        one,
+        CombinedErrors(
+            [
+                around(one, 0.2, 6),
+                ImageError(centre, scale_std=0.03, position_std=(0.05, 0.1, 0.2)),
+                RobotError(centre, 0.1, 0.02, np.diag([0.01, 0.02, 0.03]), (5, 0, 0), 3.0),
+            ]
+        ),
+    )
     yield "farther than it is thick", one, Shifts((0.0, 2.2, 0.1), 0.15)
     thin = volume_of(tube((75, 13, 14), (3, 6, 6), (71, 7, 9)), affine_of(turn=(0.1, 0, 0.2)))
     yield "longer than a block", thin, around(thin, 0.4, 7)
@@ -95,8 +102,10 @@ CASES = {name: (volume, model) for name, volume, model in cases()}
 def touched(values, of_none):
     """For each lattice corner the largest value of the voxels that touch it."""
     padded = np.pad(values, 1, constant_values=of_none)
-    parts = [padded[tuple(slice(o, o + n + 1) for o, n in zip(offset, values.shape, strict=True))]
-             for offset in np.ndindex(2, 2, 2)]  # fmt: skip
+    parts = [
+        padded[tuple(slice(o, o + n + 1) for o, n in zip(offset, values.shape, strict=True))]
+        for offset in np.ndindex(2, 2, 2)
+    ]
     return np.max(parts, axis=0)
 
 

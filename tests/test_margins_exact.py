@@ -37,8 +37,10 @@ def margin_and_ranks(name, shape, risk=0.05, settings=FEW, seed=3):
 def drawn(margin, seed=3):
     """The registrations that a seed gives: to grow on, and to validate on."""
     growing, validating = np.random.default_rng(seed).spawn(2)
-    return (margin.model.sample(margin.settings.registrations, growing),
-            margin.model.sample(margin.settings.validation_registrations, validating))  # fmt: skip
+    return (
+        margin.model.sample(margin.settings.registrations, growing),
+        margin.model.sample(margin.settings.validation_registrations, validating),
+    )
 
 
 @pytest.mark.parametrize("shape", SHAPES)
@@ -161,8 +163,10 @@ def test_shell_distances_and_summary():
 def test_a_wider_error_or_a_smaller_risk_needs_more():
     volume, _ = CASES["tube"]
     settings = GrowthSettings(registrations=2000, validation_registrations=0)
-    sizes = [grow_margin(volume, "nerve", around(volume, fle), risk, settings=settings, rng=0).voxels
-             for fle, risk in ((0.1, 0.05), (0.6, 0.05), (0.6, 0.01))]  # fmt: skip
+    sizes = [
+        grow_margin(volume, "nerve", around(volume, fle), risk, settings=settings, rng=0).voxels
+        for fle, risk in ((0.1, 0.05), (0.6, 0.05), (0.6, 0.01))
+    ]
     assert sizes[0] < sizes[1] < sizes[2]
 
 

@@ -119,9 +119,12 @@ def test_least_transfer_is_kept():
     volume, model = CASES["tube"]
     for least in (1, 30):
         settings = GrowthSettings(
-            method="published", registrations=300, validation_registrations=0, least_transfer=least,
+            method="published",
+            registrations=300,
+            validation_registrations=0,
+            least_transfer=least,
             initial_transfer=1e-9,
-        )  # fmt: skip
+        )
         margin = grow_margin(volume, "nerve", model, 0.3, settings=settings, rng=1)
         assert set(np.diff(margin.history["margin_voxels"])) == {least}
         assert margin.validation is None
@@ -218,8 +221,10 @@ def test_confidence_is_kept_and_the_plain_quantile_does_not_keep_it():
     above = {}
     for confidence in (None, 0.95):
         settings = GrowthSettings(registrations=n, confidence=confidence, validation_registrations=0)
-        found = [grow_margin(volume, "nerve", model, risk, settings=settings, rng=[7, run]).voxels
-                 for run in range(runs)]  # fmt: skip
+        found = [
+            grow_margin(volume, "nerve", model, risk, settings=settings, rng=[7, run]).voxels
+            for run in range(runs)
+        ]
         true = risks[np.searchsorted(sizes, found, side="right") - 1]
         above[confidence] = int((true > risk).sum())
     assert above[0.95] <= stats.binom.isf(1e-4, runs, 0.05)

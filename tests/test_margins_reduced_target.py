@@ -23,9 +23,11 @@ def margin_on(shape, affine, seed=1, share=0.1):
     mask = blobs(shape, share, seed)
     structure = mask & (np.random.default_rng(seed).random(shape) < 0.5)
     return SimpleNamespace(
-        structure="nerve", mask=mask & ~structure, structure_mask=structure,
+        structure="nerve",
+        mask=mask & ~structure,
+        structure_mask=structure,
         volume=LabelVolume(structure.astype(np.uint8), affine, {"air": 0, "nerve": 1}),
-    )  # fmt: skip
+    )
 
 
 def spared(planning, margins):

@@ -41,9 +41,25 @@ def displacement_moments(source: ErrorSource) -> DisplacementMoments:
     InputError
         If it is not an error source or its transforms are not (n, 4, 4).
     """
+    checked_source(source)
     if hasattr(source, "moments"):
         return source.moments()
     return sampled_moments(checked_transforms(source, _MOMENT_DRAWS, np.random.default_rng(0)))
+
+
+def checked_source(source: ErrorSource) -> None:
+    """Refuse what cannot be drawn from.
+
+    Raises
+    ------
+    InputError
+        If it has no ``sample``, or is a class and not one of its instances.
+    """
+    if not isinstance(source, ErrorSource) or isinstance(source, type):
+        what = f"the class {source.__name__}" if isinstance(source, type) else type(source).__name__
+        raise InputError(
+            f"model: expected an error source with sample(n, rng), such as PointRegistration(...); got {what}"
+        )
 
 
 def checked_transforms(source: ErrorSource, n: int, rng: np.random.Generator) -> np.ndarray:
@@ -54,11 +70,7 @@ def checked_transforms(source: ErrorSource, n: int, rng: np.random.Generator) ->
     InputError
         If it has no ``sample``, or that returns something else.
     """
-    if not isinstance(source, ErrorSource):
-        raise InputError(
-            f"model: expected an error source with sample(n, rng), such as PointRegistration; "
-            f"got {type(source).__name__}"
-        )
+    checked_source(source)
     drawn = np.asarray(source.sample(n, rng), dtype=float)
     if drawn.shape != (n, 4, 4):
         raise InputError(f"{type(source).__name__}.sample: expected shape {(n, 4, 4)}, got {drawn.shape}")
