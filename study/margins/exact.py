@@ -14,11 +14,11 @@ import numpy as np
 from scipy import stats
 
 from study.margins.overall_risk import Corners, Memory, largest_values, ranked_corners
-from study.margins.point_risk import smallest_distances, widest_deviation, widest_deviations
+from study.margins.point_risk import reach_of_metric, smallest_distances, widest_deviation
 from study.margins.region import Region
 from study.registration.moments import DisplacementMoments
 
-#: Distances that differ by less than this share are a tie, which the voxel's place in memory breaks.
+#: Distances that differ by less than this are a tie, which the voxel's place in memory breaks.
 _TIE = 1e-9
 #: How much farther the next attempt looks when a registration needs voxels that have no rank yet.
 _WIDER = 1.3
@@ -53,7 +53,8 @@ def ranked_voxels(region: Region, metric: DisplacementMoments, cut: float) -> Ra
     cut : float
         Distance from which on voxels get no rank.
     """
-    voxels = region.near(lambda points: cut * widest_deviations(points, metric))
+    reach = reach_of_metric(region, metric)
+    voxels = region.near(lambda points: cut * reach(points))
     distances = smallest_distances(region, voxels, metric, cut)
     near = np.isfinite(distances)
     flat = np.ravel_multi_index(tuple(voxels[near].T), region.shape)
@@ -64,8 +65,7 @@ def ranked_voxels(region: Region, metric: DisplacementMoments, cut: float) -> Ra
 
 def in_order(distances: np.ndarray, flat: np.ndarray) -> np.ndarray:
     """Indices that sort voxels by distance, ties by their place in memory."""
-    scale = 1 / (_TIE * max(float(distances.max(initial=0)), 1e-300))
-    return np.lexsort((flat, np.rint(distances * scale)))
+    return np.lexsort((flat, np.rint(distances / _TIE)))
 
 
 def first_cut(
@@ -80,7 +80,7 @@ def first_cut(
     centre = region.affine[:3, :3] @ (np.array(region.shape) / 2 - 0.5) + region.affine[:3, 3]
     voxel = float(np.cbrt(region.voxel_volume))
     if metric is moments:
-        smallest = float(np.sqrt(np.linalg.eigvalsh(moments.at(centre[None]))[0, 0]))
+        smallest = float(np.sqrt(max(np.linalg.eigvalsh(moments.at(centre[None]))[0, 0], 0.0)))
         return deviations + min(0.35 * voxel / max(smallest, 1e-9), 2 * deviations)
     return float(deviations * widest_deviation(region, moments) * 0.8 + 0.6 * voxel)
 
@@ -159,6 +159,7 @@ def choice_of(
             if floor == 0 or np.count_nonzero(needs > floor) > allowed:
                 break
             floor //= 2
-        if np.count_nonzero(needs > len(ranking.order)) <= allowed // 3:
+        beyond = np.count_nonzero(needs > len(ranking.order))
+        if beyond <= allowed // 3 or len(ranking.order) == np.count_nonzero(region.solid == 0):
             return Choice(region, ranking, transforms, corners, floor, needs, memory)
         cut *= _WIDER

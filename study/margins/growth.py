@@ -11,9 +11,9 @@ from study.errors import InputError, LabelError
 from study.margins.exact import choice_of, first_cut
 from study.margins.margin import SafetyMargin
 from study.margins.order_statistics import allowed_hits
-from study.margins.overall_risk import RiskEstimate, largest_values
+from study.margins.overall_risk import RiskEstimate, largest_values, overall_damage_risk
 from study.margins.point_risk import euclidean
-from study.margins.published import grow_as_published, risk_of
+from study.margins.published import grow_as_published
 from study.margins.region import Region, checked_structure, edge_share, reach_of
 from study.margins.settings import ACCEPTABLE_RISKS, SHAPES, GrowthSettings, checked_share
 from study.registration.sources import ErrorSource, checked_transforms, displacement_moments
@@ -148,7 +148,8 @@ def _published(volume, mask, model, metric, acceptable_risk, settings, decay_sta
         fresh = checked_transforms(model, settings.validation_registrations, validating)
         region = Region.around(mask, volume, reach_of(fresh, mask, volume))
         box = tuple(slice(a, a + n) for a, n in zip(region.low, region.shape, strict=True))
-        validation = risk_of(region, region.solid | margin[box].view(np.uint8), fresh)
+        union = region.solid | margin[box].view(np.uint8)
+        validation = overall_damage_risk(region, union, fresh)
     return {
         "mask": margin,
         "estimate": growth.estimate,

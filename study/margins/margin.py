@@ -9,11 +9,11 @@ import numpy as np
 import pandas as pd
 from scipy import ndimage
 
-from study.errors import MarginError
+from study.errors import InputError, MarginError
 from study.margins.exact import Choice
-from study.margins.overall_risk import RiskEstimate
+from study.margins.overall_risk import RiskEstimate, overall_damage_risk
 from study.margins.point_risk import point_damage_risk
-from study.margins.published import _all_distances, risk_of
+from study.margins.published import _all_distances
 from study.margins.region import Region, reach_of
 from study.margins.settings import GrowthSettings
 from study.registration.sources import ErrorSource, checked_transforms, displacement_moments
@@ -158,6 +158,8 @@ class SafetyMargin:
         model : ErrorSource, optional
             The margin's own by default.
         """
+        if registrations != int(registrations) or registrations < 1:
+            raise InputError(f"registrations: expected a positive number, got {registrations}")
         rng = np.random.default_rng(rng)
         hits = done = 0
         while done < registrations:
@@ -167,7 +169,7 @@ class SafetyMargin:
             region = Region.around(self.structure_mask, self.volume, reach)
             box = tuple(slice(a, a + n) for a, n in zip(region.low, region.shape, strict=True))
             union = region.solid | self.mask[box].view(np.uint8)
-            hits += risk_of(region, union, transforms).hits
+            hits += overall_damage_risk(region, union, transforms).hits
             done += count
         return RiskEstimate(hits, done)
 

@@ -3,7 +3,8 @@
 What counts as a hit is said here, once, for every method. Tissue outside structure and margin may be milled.
 A registration damages the structure when a corner of a voxel that may be milled lands, by its transform, in a
 voxel of the structure (Siebold, 3.2.2; voxels are half open, so that a corner on a face belongs to the
-voxel above). Voxels beyond the volume do not exist.
+voxel above). Voxels beyond the volume do not exist. The printed growth looks for hits only among the corners of
+the analyzed shell, which is the same unless a registration jumps over the shell.
 """
 
 from __future__ import annotations
@@ -96,9 +97,40 @@ def ranked_corners(region: Region, order: np.ndarray, reaching: np.ndarray, abov
     return Corners(*_kernels.arrange(rank, reaching, above, False))
 
 
-def shell_corners(union: np.ndarray, reaching: np.ndarray) -> Corners:
-    """The corners between structure with margin and the shell around it, each of value 1."""
-    return Corners(*_kernels.arrange((union == 0).astype(np.int32), reaching, 0, True))
+def millable_corners(union: np.ndarray, reaching: np.ndarray, shell_only: bool = False) -> Corners:
+    """The corners of voxels outside structure and margin, each of value 1.
+
+    Parameters
+    ----------
+    union : (nx, ny, nz) uint8 array
+        Structure and margin.
+    reaching : (nx + 1, ny + 1, nz + 1) uint8 array
+        See `Region.reaching_corners`.
+    shell_only : bool
+        Only those that also touch structure or margin: the inner face of the analyzed shell.
+    """
+    return Corners(*_kernels.arrange((union == 0).astype(np.int32), reaching, 0, shell_only))
+
+
+def overall_damage_risk(
+    region: Region, union: np.ndarray, transforms: np.ndarray, shell_only: bool = False
+) -> RiskEstimate:
+    """Overall damage risk when all tissue outside `union` (structure and margin) may be milled.
+
+    Parameters
+    ----------
+    region : Region
+        That holds all from which the transforms reach the structure.
+    union : (nx, ny, nz) uint8 array
+    transforms : (n, 4, 4) array
+        mm.
+    shell_only : bool
+        Only look at the analyzed shell, as the printed growth does. A registration that carries tissue from
+        beyond the shell right into a thin structure, and none of the shell, goes unseen then.
+    """
+    corners = millable_corners(union, region.reaching_corners(transforms), shell_only)
+    hits = largest_values(corners, region, transforms, first_only=True)
+    return RiskEstimate(int(np.count_nonzero(hits)), len(transforms))
 
 
 class Memory:

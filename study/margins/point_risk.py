@@ -7,6 +7,7 @@ turns it into an upper bound of the probability that registration error carries 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from itertools import product
 
 import numpy as np
@@ -18,8 +19,11 @@ from study.margins.region import Region
 from study.registration.moments import DisplacementMoments
 from study.threads import in_threads
 
-#: Covariances get this share of the largest variance along every axis, so that there is a (very long)
-#: distance also along a direction in which nothing scatters.
+# An error that hardly scatters in some direction (variance below this share of the largest) has no useful
+# distances along it: every variance is raised by a hundredth of the largest then, a deviation of a tenth.
+_NARROW = 1e-3
+_BLIND = 1e-2
+# Else only by what keeps rounding from making a variance negative.
 _LEAST = 1e-12
 
 
@@ -37,6 +41,13 @@ def widest_deviations(points: np.ndarray, moments: DisplacementMoments) -> np.nd
     Along every direction the variance is convex in the point, so that in a box this is largest at a corner.
     """
     return np.sqrt(np.linalg.eigvalsh(moments.at(points))[:, -1].clip(0))
+
+
+def reach_of_metric(region: Region, moments: DisplacementMoments) -> Callable[[np.ndarray], np.ndarray]:
+    """From (m, 3) points to (m,) mm: how far one standard deviation reaches there, at most."""
+    *_, least = _in_voxels(region, moments)
+    added = least * np.linalg.norm(region.affine[:3, :3], 2) ** 2
+    return lambda points: np.sqrt(widest_deviations(points, moments) ** 2 + added)
 
 
 def widest_deviation(region: Region, moments: DisplacementMoments) -> float:
@@ -58,7 +69,8 @@ def smallest_distances(
     moments : DisplacementMoments
         Of the error; its covariance at a voxel's centre is the metric there.
     cut : float
-        Standard deviations; from there on a distance is given as infinity.
+        Standard deviations; from there on a distance is given as infinity. Where the error hardly scatters in
+        some direction a tenth of the largest deviation is added there, in quadrature.
 
     Returns
     -------
@@ -77,11 +89,7 @@ def smallest_distances(
     _kernels.surface_corners(region.solid, surface)
     above, below = np.empty(surface.shape, np.int16), np.empty(surface.shape, np.int16)
     _kernels.next_along_lines(surface, above, below)
-    in_voxels = _in_voxels(region, moments)
-    corners = np.array(list(product(*((-0.5, n - 0.5) for n in region.shape), (1.0,))))
-    across = np.einsum("mj,ajbk,mk->mab", corners, in_voxels[:2, :, :2], corners)
-    largest = float(np.linalg.eigvalsh(across)[:, -1].max())
-    least = _LEAST * largest
+    in_voxels, largest, least = _in_voxels(region, moments)
     columns, lengths = _columns(cut * np.sqrt(largest + least))
     out = np.empty(len(voxels))
 
@@ -94,14 +102,27 @@ def smallest_distances(
     return out
 
 
-def _in_voxels(region: Region, moments: DisplacementMoments) -> np.ndarray:
-    """(3, 4, 3, 4) covariance of ``[G, u]`` for places and displacements in voxels of the region's box."""
+def _is_blind(region: Region, moments: DisplacementMoments) -> bool:
+    """Whether there is a direction in which the error hardly scatters, somewhere in the region."""
+    grid = np.array(list(product(*((0, n / 2, n) for n in region.shape))))
+    variances = np.linalg.eigvalsh(moments.at(region.corner_points(grid)))
+    return bool(variances[:, 0].min() < _NARROW * variances[:, -1].max())
+
+
+def _in_voxels(region: Region, moments: DisplacementMoments) -> tuple[np.ndarray, float, float]:
+    """Covariance of ``[G, u]`` for places and displacements in voxels of the region's box, (3, 4, 3, 4).
+
+    With it the largest variance in the box, and what is added to variances along the axes, in voxels.
+    """
     covariance = moments.about(region.affine[:3, 3]).covariance.reshape(3, 4, 3, 4)
     places = np.eye(4)
     places[:3, :3] = region.affine[:3, :3]
     steps = np.linalg.inv(region.affine[:3, :3])
     found = np.einsum("ra,ajbk,ju,kv,cb->rucv", steps, covariance, places, places, steps, optimize=True)
-    return np.ascontiguousarray(found)
+    corners = np.array(list(product(*((-0.5, n - 0.5) for n in region.shape), (1.0,))))
+    largest = np.linalg.eigvalsh(np.einsum("mj,ajbk,mk->mab", corners, found, corners))[:, -1].max()
+    least = largest * (_BLIND if _is_blind(region, moments) else _LEAST)
+    return np.ascontiguousarray(found), float(largest), float(least)
 
 
 def _columns(reach: float) -> tuple[np.ndarray, np.ndarray]:

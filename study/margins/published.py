@@ -15,7 +15,7 @@ import pandas as pd
 from study.errors import MarginError
 from study.margins.distances import _kernels
 from study.margins.exact import in_order
-from study.margins.overall_risk import RiskEstimate, largest_values, shell_corners
+from study.margins.overall_risk import RiskEstimate, overall_damage_risk
 from study.margins.point_risk import smallest_distances
 from study.margins.region import Region, reach_of
 from study.margins.settings import GrowthSettings
@@ -39,14 +39,6 @@ def shell_of(union: np.ndarray) -> np.ndarray:
     out = np.zeros(union.shape, np.uint8)
     _kernels.widen(union, np.ones(3, np.int64), out)
     return (out == 1) & (union == 0)
-
-
-def risk_of(region: Region, union: np.ndarray, transforms: np.ndarray) -> RiskEstimate:
-    """Overall damage risk when all that surrounds `union` (structure and margin) may be milled."""
-    hits = largest_values(
-        shell_corners(union, region.reaching_corners(transforms)), region, transforms, first_only=True
-    )
-    return RiskEstimate(int(np.count_nonzero(hits)), len(transforms))
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +95,7 @@ def grow_as_published(
             margin = np.zeros(region.shape, bool) if before is None else before[box].copy()
             distances = np.full(region.shape, np.nan)
         union = region.solid | margin.view(np.uint8)
-        estimate = risk_of(region, union, transforms)
+        estimate = overall_damage_risk(region, union, transforms, shell_only=True)
         shell = shell_of(union)
         share = transfer_share(estimate.risk, acceptable_risk, settings.initial_transfer, decay_start)
         rows.append((int(margin.sum()), int(shell.sum()), estimate.risk, share))
