@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -28,12 +29,13 @@ class Board:
         """A rendering with scale bar and directions; pixels are the axes' data."""
         axes = self.axes(x, y, width, height)
         size = (int(130 * width), int(130 * height))
-        axes.imshow(scene.image(size), interpolation="antialiased")
+        image = scene.image(size)
+        axes.imshow(image, interpolation="antialiased")
         axes.set_axis_off()
         axes.set_title(title)
         view = scene.placed_view(size[0] / size[1])
         scale_bar(axes, view, size)
-        compass(axes, view, size)
+        compass(axes, view, size, emptiest_corner(image))
         return axes
 
     def legend(self, handles: Sequence, columns: int = 5) -> Figure:
@@ -48,3 +50,13 @@ def with_room(scene: Scene, times: float, aspect: float = 4 / 3) -> None:
     """Let a scene fill less of its picture, so that scale bar and directions have a place beside it."""
     view = scene.placed_view(aspect)
     scene.view = view.around(view.centre, times * view.half_height)
+
+
+def emptiest_corner(image: np.ndarray) -> tuple[bool, bool]:
+    """(right?, lower?) of the corner of a white picture with least in it, not where the scale bar is."""
+    n, m = (2 * side // 5 for side in image.shape[:2])
+    drawn = (image < 250).any(axis=2)
+    parts = {
+        (True, True): drawn[-n:, -m:], (True, False): drawn[:n, -m:], (False, False): drawn[:n, :m]
+    }  # fmt: skip
+    return min(parts, key=lambda corner: int(parts[corner].sum()))

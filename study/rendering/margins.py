@@ -60,12 +60,15 @@ def landing_figure(margin: SafetyMargin, step: GrowthStep, landing: Landing, app
     truth, planned, both = Scene(view), Scene(view), Scene(view)
     for scene in (truth, planned, both):
         near = _within(volume, focus, 9.0)
-        scene.mask(margin.structure_mask & near, volume.affine, margin.structure, smooth=20)
+        scene.mask(
+            margin.structure_mask & near, volume.affine, margin.structure, smooth=20,
+            opacity=0.5 if scene is both else 1.0,
+        )  # fmt: skip
     truth.mask((step.before | margin.structure_mask) & near, volume.affine, "margin", opacity=0.3, smooth=20)
     shown = np.linalg.norm(landing.corners - focus, axis=1) < 8
     _points(planned, landing.corners[shown], "#7a828c", "", 4.5)
     _points(both, landing.landed[shown & ~landing.hit], MISSED, "", 4.5)
-    _points(both, landing.landed[shown & landing.hit], HIT, "", 11)
+    _points(both, landing.landed[shown & landing.hit], HIT, "", 12)
     board = Board(12, 8.3)
     side = 3.85
     titles = ("(a) structure and margin", "(b) corners of the shell as planned",

@@ -112,10 +112,10 @@ def _shrink(axes: Axes) -> float:
     return max(1.4, 12.0 / axes.get_position().width / axes.figure.get_figwidth() * 0.85)
 
 
-def compass(axes: Axes, view: View, size: Sequence[int]) -> None:
-    """Crossed lines at the lower right with the letters of the body's directions."""
+def compass(axes: Axes, view: View, size: Sequence[int], corner: tuple[bool, bool] = (True, True)) -> None:
+    """Crossed lines with the letters of the body's directions, in the corner (right?, lower?)."""
     reach = 0.032 * size[1] * _shrink(axes)
-    middle = np.array([size[0] - 2.4 * reach, size[1] - 2.4 * reach])
+    middle = np.array([n - 2.4 * reach if far else 2.4 * reach for n, far in zip(size, corner, strict=True)])
     for negative, positive, flat in view.compass():
         step = reach * flat * [1, -1]
         ends = np.array([middle - step, middle + step])
