@@ -3,8 +3,8 @@
 What counts as a hit is said here, once, for every method. Tissue outside structure and margin may be milled.
 A registration damages the structure when a corner of a voxel that may be milled lands, by its transform, in a
 voxel of the structure (Siebold, 3.2.2; voxels are half open, so that a corner on a face belongs to the
-voxel above). Voxels beyond the volume do not exist. The printed growth looks for hits only among the corners of
-the analyzed shell, which is the same unless a registration jumps over the shell.
+voxel above). Voxels beyond the volume do not exist. The printed growth looks for hits only among the corners
+of the analyzed shell, which is the same unless a registration jumps over the shell.
 """
 
 from __future__ import annotations
