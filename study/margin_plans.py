@@ -29,6 +29,7 @@ from study.planners.modified import modified_volume
 from study.registration import CombinedErrors, ErrorSource, ImageError, PointRegistration, RobotError
 from study.robots import predict_milling
 from study.specimens import structure_mask
+from study.tables import Claim
 from study.volumes import LabelVolume, resampled
 
 
@@ -233,7 +234,8 @@ def plan_row(entry: MarginedPlan) -> dict[str, object]:
     -------
     dict
         ``target``, ``target_cm3``, ``modified_target_cm3`` (where the burr's centre has to go),
-        ``path_length_mm``, ``milling_time_s``, ``bone_left_mm3``, ``planning_time_s``.
+        ``milled_cm3`` of the target, ``path_length_mm``, ``milling_time_s``, ``bone_left_mm3``,
+        ``planning_time_s``.
 
     Raises
     ------
@@ -242,13 +244,15 @@ def plan_row(entry: MarginedPlan) -> dict[str, object]:
     """
     milling = predict_milling(entry.plan)
     entry.plan.verify()
+    before, left = entry.planning.volume_mm3("target"), entry.plan.remaining.volume_mm3("target")
     return {
         "target": entry.name,
-        "target_cm3": entry.planning.volume_mm3("target") / 1000,
+        "target_cm3": before / 1000,
         "modified_target_cm3": entry.plan.modified.target_cm3,
+        "milled_cm3": (before - left) / 1000,
         "path_length_mm": entry.plan.length_mm,
         "milling_time_s": milling.time_s,
-        "bone_left_mm3": entry.plan.remaining.volume_mm3("target"),
+        "bone_left_mm3": left,
         "planning_time_s": entry.plan.planning_time_s,
     }
 
@@ -325,3 +329,28 @@ def risk_rows(
                 row[entry.name] = plan_risk(entry.plan, margin, registrations, rng).risk
             table.append(row)
     return pd.DataFrame(table).set_index(["errors", "structure"])
+
+
+def risk_claims(risks: pd.DataFrame) -> list[Claim]:
+    """Whether each plan keeps every structure within its tolerance under each set of errors.
+
+    Parameters
+    ----------
+    risks : DataFrame
+        Of `risk_rows`.
+    """
+    claims = []
+    for plan in risks.columns.drop("acceptable_risk"):
+        for errors, rows in risks.groupby(level="errors", sort=False):
+            over = (rows[plan] / rows["acceptable_risk"]).droplevel("errors")
+            above = over[over > 1]
+            listed = ", ".join(f"{name.replace('_', ' ')} {share:.2g}" for name, share in above.items())
+            claims.append(
+                Claim(
+                    f"{plan}: no structure's risk is above its tolerance, errors: {errors}",
+                    above.empty,
+                    f"times the tolerance: {listed}" if listed else f"at most {over.max():.2g} of it",
+                    "measured",
+                )
+            )
+    return claims
