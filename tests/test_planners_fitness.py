@@ -19,16 +19,15 @@ from study.planners import (
     PlannerSettings,
     leave_for_last,
     modified_volume,
+    moments,
     plan_path,
 )
 from study.planners.fitness import compile_terms
-from study.planners.moments import _kernels as deciding
 from study.planners.moments import moment
 from study.planners.planning import (
     _build,
     _choose_frame,
     _first_accessible,
-    _search_arrays,
 )
 from study.volumes import ball_element
 
@@ -57,16 +56,8 @@ def decided(volume, planner, dof, rows):
     canonical = _choose_frame(modified, find_approach(volume), drill, planner, 12, dof)
     sim, _ = _build(canonical, drill, planner)
     start = _first_accessible(canonical, sim, planner)
-    burr, _, _, candidates, scores = deciding.run_until(
-        sim,
-        _search_arrays(sim.solid.size),
-        start,
-        planner.weights.as_array(),
-        compile_terms(planner.terms, volume, canonical.frame),
-        rows,
-        np.zeros(rows + 1, np.int64),
-    )
-    return canonical.frame, sim, burr, candidates, scores
+    terms = compile_terms(planner.terms, volume, canonical.frame)
+    return canonical.frame, sim, *moments.decided(sim, start, planner.weights.as_array(), terms, rows)
 
 
 def bone_under_burr(sim, frame, voxel):

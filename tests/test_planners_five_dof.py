@@ -192,7 +192,7 @@ def _decide_eagerly(sim, search, burr, heading, weights, terms, candidates, scor
                 best = m
         moved = strategies.take_step(sim, burr, candidates[best, 0], candidates[best, 1], candidates[best, 2])
         accessible[best] = False
-    if not moved and not strategies.relocate(sim, search, burr, np.array([strategies.ANY_TARGET, 0, 0, 0])):
+    if not moved and not strategies.relocate(sim, search, burr, strategies.ANYTHING):
         return False
     if burr[0] != l0 or burr[2] != b0:
         heading[0] = (burr[0] - l0) * sim.steps[0]

@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from study._compiled import inner, kernel
+from study._records import by_address
 
 ONE = np.uint64(1)
 ALL = np.uint64(0xFFFFFFFFFFFFFFFF)
@@ -24,6 +25,7 @@ for _bit in range(64):
     BIT_INDEX[((1 << _bit) * int(DE_BRUIJN) & int(ALL)) >> 58] = _bit
 
 
+@by_address
 class Shaft(NamedTuple):
     """What the window of accessible angles is computed from (arrays change as bone is removed)."""
 
@@ -231,7 +233,7 @@ def accessible_window(shaft, layer, depth, lateral, current_low, current_high, m
     """
     gaps = np.empty((4, 24))
     gaps[0, 0], gaps[1, 0] = -shaft.max_tilt, shaft.max_tilt
-    n = 1
+    n = np.int64(1)
     overlap = min(shaft.max_tilt, current_high) - max(-shaft.max_tilt, current_low)
     if 2 * shaft.max_tilt < min_width or overlap < min_overlap:
         return False, 0.0, 0.0

@@ -22,7 +22,6 @@ def _sweep_ball(solid, spacing, a, b, radius, hit):
         first[n] = floor((min(a[n], b[n]) - radius) / spacing[n] + 0.5)
         last[n] = ceil((max(a[n], b[n]) + radius) / spacing[n] - 0.5)
     removed = 0
-    half = spacing / 2
     for i in range(first[0], last[0] + 1):
         for j in range(first[1], last[1] + 1):
             for k in range(first[2], last[2] + 1):
@@ -32,7 +31,7 @@ def _sweep_ball(solid, spacing, a, b, radius, hit):
                 x, y, z = i * spacing[0], j * spacing[1], k * spacing[2]
                 if not segment_overlaps_box(
                     a[0] - x, a[1] - y, a[2] - z, b[0] - x, b[1] - y, b[2] - z,
-                    half[0], half[1], half[2], radius,
+                    spacing[0] / 2, spacing[1] / 2, spacing[2] / 2, radius,
                 ):  # fmt: skip
                     continue
                 hit[0], hit[1], hit[2] = i, j, k

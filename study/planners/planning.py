@@ -16,6 +16,7 @@ from study.collision.frame import check_direction, check_orthogonal
 from study.errors import IncompletePlanWarning, InputError, PlanningError, TargetUnreachableError
 from study.planners.fitness import compile_terms, live_bone
 from study.planners.modified import ModifiedVolume, modified_volume
+from study.planners.motion._kernels import Search
 from study.planners.plan import Plan
 from study.planners.pointing import _kernels as pointing
 from study.planners.settings import PlannerSettings
@@ -259,7 +260,7 @@ def plan_path(
     start = _first_accessible(canonical, sim, settings)
     if strategy == "3d":
         terms = compile_terms(settings.terms, volume, frame)
-        strategies.run_3d(sim, search, start, settings.weights.as_array(), terms)
+        strategies.run_3d(sim, search, start, settings.weights.as_array(), terms, 0)
     else:
         targeted = canonical.modified.astype(np.bool_)
         extent = np.ptp(np.argwhere(targeted), axis=0) * frame.steps
@@ -375,11 +376,11 @@ def _shaft(canonical: _Canonical, drill: Drill, settings: PlannerSettings):
 
 def _search_arrays(size: int):
     """Scratch of `find_way`."""
-    return (
-        np.zeros(size, np.int32),
-        np.empty(size, np.int8),
-        np.empty(size),
-        np.empty(size),
-        np.empty(size, np.int32),
-        np.zeros(1, np.int32),
+    return Search(
+        stamp=np.zeros(size, np.int32),
+        came=np.empty(size, np.int8),
+        low=np.empty(size),
+        high=np.empty(size),
+        queue=np.empty(size, np.int32),
+        floods=np.zeros(1, np.int32),
     )

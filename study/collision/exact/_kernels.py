@@ -19,6 +19,13 @@ def _distance_to_segment(x0, y0, x1, y1):
     return hypot(x0 + t * dx, y0 + t * dy)
 
 
+@inner
+def _cross(a, b, out):
+    out[0] = a[1] * b[2] - a[2] * b[1]
+    out[1] = a[2] * b[0] - a[0] * b[2]
+    out[2] = a[0] * b[1] - a[1] * b[0]
+
+
 @kernel
 def cylinder_overlaps_box(centre, axis, radius, start, end, box_low, box_high):
     """Whether a solid cylinder and a box overlap, exactly (touching is not overlapping).
@@ -47,9 +54,12 @@ def cylinder_overlaps_box(centre, axis, radius, start, end, box_low, box_high):
             small = n
     helper = np.zeros(3)
     helper[small] = 1.0
-    e1 = np.cross(axis, helper)
-    e1 /= sqrt(e1[0] ** 2 + e1[1] ** 2 + e1[2] ** 2)
-    e2 = np.cross(axis, e1)
+    e1, e2 = np.empty(3), np.empty(3)
+    _cross(axis, helper, e1)
+    length = sqrt(e1[0] ** 2 + e1[1] ** 2 + e1[2] ** 2)
+    for n in range(3):
+        e1[n] /= length
+    _cross(axis, e1, e2)
     x = np.empty(8)
     y = np.empty(8)
     t = np.empty(8)

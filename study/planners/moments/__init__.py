@@ -23,6 +23,8 @@ from study.planners.planning import (
     _search_arrays,
     supervoxel_reach,
 )
+from study.planners.simulation.state._kernels import Simulation
+from study.planners.strategies import _kernels as strategies
 from study.volumes import LabelVolume
 
 
@@ -79,6 +81,38 @@ class Moment:
         return np.rint(self.unmodified.indices(self.position[None])[0]).astype(int)
 
 
+def decided(
+    sim: Simulation, start: np.ndarray, weights: np.ndarray, terms: tuple, rows: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Let the 3-D planner decide until the path has `rows` rows.
+
+    Parameters
+    ----------
+    sim : Simulation
+        At its start; changed.
+    start : (3,) int64 array
+        Canonical voxel.
+    weights : (5,) array
+        ``FitnessWeights.as_array()``.
+    terms : tuple
+        Of `study.planners.fitness.compile_terms`.
+    rows : int
+        At least 1.
+
+    Returns
+    -------
+    burr : (7,) array
+        Canonical pose: layer, depth, lateral, tilt, tip, window.
+    candidates : (n, 3) int64 array
+        Canonical voxels to choose the next position from.
+    scores : (n,) array
+        Their fitness.
+    """
+    search = _search_arrays(sim.solid.size)
+    burr, heading = strategies.run_3d(sim, search, start, weights, terms, rows)
+    return burr, *_kernels.ranked(sim, burr, heading, weights, terms)
+
+
 def moment(plan: Plan, row: int) -> Moment:
     """The state of a 3-D plan at the first decision that ends at `row` or later.
 
@@ -118,16 +152,8 @@ def moment(plan: Plan, row: int) -> Moment:
     sim, _ = _build(canonical, drill, settings)
     before = sim.modified.copy()
     start = _first_accessible(canonical, sim, settings)
-    arrivals = np.zeros(n + 1, np.int64)
-    burr, _, _, candidates, scores = _kernels.run_until(
-        sim,
-        _search_arrays(sim.solid.size),
-        start,
-        settings.weights.as_array(),
-        compile_terms(settings.terms, volume, frame),
-        row + 1,
-        arrivals,
-    )
+    terms = compile_terms(settings.terms, volume, frame)
+    burr, candidates, scores = decided(sim, start, settings.weights.as_array(), terms, row + 1)
     rows = int(min(sim.counters[0], n))
     points = volume.points(frame.to_indices(sim.path[:rows, :3]))
     if not np.allclose(points, plan.points[:rows], atol=1e-6):

@@ -6,9 +6,12 @@ the robot's freedom says (`study.planners.freedom`).
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from study._compiled import inner
+from study._records import by_address
 from study.planners.freedom._kernels import (
     keep_up,
     passing,
@@ -18,10 +21,25 @@ from study.planners.freedom._kernels import (
     window_from,
 )
 from study.planners.simulation._kernels import clear_supervoxel, mill_ball, mill_sweep, sweep_is_safe
-from study.planners.simulation.state._kernels import draw, record
+from study.planners.simulation.state._kernels import NOTHING, draw, record
 
 NEIGHBOURS = np.array([[0, -1, 0], [-1, 0, 0], [1, 0, 0], [0, 0, -1], [0, 0, 1], [0, 1, 0]], dtype=np.int64)
-ANY_TARGET, ONE_VOXEL, SLICE, WITHIN_SLICE = 0, 1, 2, 3  # what a search looks for
+# What a search looks for. A goal is four whole numbers; of numpy's type, as numba would compile a
+# function once more for every plain one.
+ANY_TARGET, ONE_VOXEL, SLICE, WITHIN_SLICE = np.int64(0), np.int64(1), np.int64(2), np.int64(3)
+ANYTHING = (ANY_TARGET, NOTHING, NOTHING, NOTHING)
+
+
+@by_address
+class Search(NamedTuple):
+    """Scratch of `find_way`, over the flat indices of all voxels."""
+
+    stamp: np.ndarray  # int32: the last flood that came here
+    came: np.ndarray  # int8: by which of the NEIGHBOURS
+    low: np.ndarray  # float64: its window
+    high: np.ndarray
+    queue: np.ndarray  # int32
+    floods: np.ndarray  # int32 (1,): how many there were
 
 
 @inner
@@ -48,7 +66,7 @@ def step_to(sim, burr, layer, depth, lateral, a, b):
 def direct_step(sim, burr, layer, depth, lateral, a, b):
     """Move straight to a voxel up to reach + 1 away, checking every part on the way; False if barred."""
     l0, d0, b0 = int(burr[0]), int(burr[1]), int(burr[2])
-    move = np.array([layer - l0, depth - d0, lateral - b0])
+    move = (layer - l0, depth - d0, lateral - b0)
     parts = max(abs(move[0]), abs(move[1]), abs(move[2]))
     tilt, tip = passing(sim, burr, a, b)
     if not sweep_is_safe(sim, l0, d0, b0, move):
@@ -94,7 +112,9 @@ def short_path(sim, burr, layer, depth, lateral):
     high = np.zeros(length + 1)
     low[0], high[0] = burr[5], burr[6]
     n = 0
-    order = np.array([0, 1, 2])
+    order = np.empty(3, np.int64)
+    for axis in range(3):
+        order[axis] = axis
     while n < length:
         for k in range(2):  # shuffle the three axes
             other = k + draw(sim, 3 - k)
@@ -135,16 +155,14 @@ def short_path(sim, burr, layer, depth, lateral):
 def find_way(sim, search, burr, goal):
     """Flood outwards from the burr through positions whose windows overlap, to the nearest goal.
 
-    Parameters: `search` is (stamp int32, came int8, low float64, high float64, queue int32 arrays over
-    voxels, and a one-element int32 array counting the floods); `goal` is an int64 array: ANY_TARGET
-    (unmilled), ONE_VOXEL and the voxel, SLICE (unmilled target at one depth) and the depth, or
-    WITHIN_SLICE and the depth, which does not leave the depth the burr is at.
+    `goal` is four whole numbers: ANY_TARGET (unmilled), ONE_VOXEL and the voxel, SLICE (unmilled target
+    at one depth) and the depth, or WITHIN_SLICE and the depth, which does not leave the depth the burr is at.
 
     Returns the length of the way, its voxels last to first in the queue's end; -1 if there is none.
     """
-    stamp, came, lows, highs, queue, floods = search
-    floods[0] += 1
-    mark = floods[0]
+    stamp, came, queue, lows, highs = search.stamp, search.came, search.queue, search.low, search.high
+    search.floods[0] += 1
+    mark = search.floods[0]
     n_depth, n_lateral = sim.solid.shape[1], sim.solid.shape[2]
     plane = n_depth * n_lateral
     here = (int(burr[0]) * n_depth + int(burr[1])) * n_lateral + int(burr[2])
@@ -196,7 +214,7 @@ def go(sim, search, burr, goal):
     length = find_way(sim, search, burr, goal)
     if length < 0:
         return False
-    _, _, lows, highs, queue, _ = search
+    lows, highs, queue = search.low, search.high, search.queue
     n_depth, n_lateral = sim.solid.shape[1], sim.solid.shape[2]
     plane = n_depth * n_lateral
     for n in range(length):

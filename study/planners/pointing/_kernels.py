@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from study._compiled import inlined, inner, kernel
+from study._records import by_address
 from study.collision.directions.field._kernels import (
     REMOVED,
     WITNESSED,
@@ -16,12 +17,13 @@ from study.collision.directions.field._kernels import (
     remove_voxel,
 )
 from study.collision.directions.search._kernels import next_free, search_from, window_of_directions
-from study.collision.directions.single._kernels import angles, direction, shaft_is_free, turn_is_free
-from study.planners.simulation.state._kernels import TARGET, record
+from study.collision.directions.single._kernels import NONE, angles, direction, shaft_is_free, turn_is_free
+from study.planners.simulation.state._kernels import NOTHING, TARGET, record
 
 TRIES = 12  # free directions of a voxel to which a turn is tried
 
 
+@by_address
 class Pointing(NamedTuple):
     """A 5-DOF robot over unmilled bone."""
 
@@ -36,12 +38,12 @@ class Pointing(NamedTuple):
     grounds: np.ndarray  # int32: [0] the next place; then lists, each a length and so many flat indices
 
 
-@inlined
+@inner
 def remove(sim, layer, depth, lateral):
     remove_voxel(sim.shaft.space, layer, depth, lateral)
 
 
-@inlined
+@inner
 def keep_up(sim):
     if sim.shaft.space.counts[REMOVED] >= sim.shaft.space.patience:
         refresh(sim.shaft.space, 4.0, 6.0)
@@ -105,7 +107,7 @@ def _any_direction(sim, a, b, i, j, k, layer, depth, lateral):
     hit = np.empty(3, np.int64)
     u = direction(a, b)
     # The present direction may lie between those of the search: what shuts these need not shut it.
-    if shaft_is_free(space, float(layer), float(depth), float(lateral), u[0], u[1], u[2], 0.0, 0, hit):
+    if shaft_is_free(space, float(layer), float(depth), float(lateral), u[0], u[1], u[2], 0.0, NONE, hit):
         return True, a, b
     if _is_shut(sim, layer, depth, lateral):
         return False, 0.0, 0.0
@@ -164,7 +166,7 @@ def _window_of_directions(sim, a, b, i, j, k, layer, depth, lateral):
     return False, 0.0, 0.0
 
 
-@inlined
+@inner
 def window_from(sim, a, b, i, j, k, layer, depth, lateral):
     if sim.shaft.published:
         return _window_of_directions(sim, a, b, i, j, k, layer, depth, lateral)
@@ -184,7 +186,7 @@ def search_window(sim, a, b, i, j, k, layer, depth, lateral):
         if not sim.shaft.published:
             # Keeping the direction beats turning to the known one, and turning there a search.
             if shaft_is_free(
-                space, float(layer), float(depth), float(lateral), u[0], u[1], u[2], 0.0, 0, hit
+                space, float(layer), float(depth), float(lateral), u[0], u[1], u[2], 0.0, NONE, hit
             ):
                 known[0], known[1] = a, b
                 return True, a, b
@@ -215,21 +217,21 @@ def turn(sim, burr, tilt, tip):
     for part in range(1, parts):
         p, q = sin((1.0 - part / parts) * angle) / sin(angle), sin(part / parts * angle) / sin(angle)
         a, b = angles(p * u[0] + q * v[0], p * u[1] + q * v[1], p * u[2] + q * v[2])
-        record(sim, burr[0], burr[1], burr[2], a, b, 0)
-    record(sim, burr[0], burr[1], burr[2], tilt, tip, 0)
+        record(sim, burr[0], burr[1], burr[2], a, b, NOTHING)
+    record(sim, burr[0], burr[1], burr[2], tilt, tip, NOTHING)
     burr[3], burr[4] = tilt, tip
 
 
-@inlined
+@inner
 def position_is_free(sim, layer, depth, lateral, tilt, tip):
     u = direction(tilt, tip)
     hit = np.empty(3, np.int64)
     return shaft_is_free(
-        sim.shaft.space, float(layer), float(depth), float(lateral), u[0], u[1], u[2], 0.0, 0, hit
+        sim.shaft.space, float(layer), float(depth), float(lateral), u[0], u[1], u[2], 0.0, NONE, hit
     )
 
 
-@inlined
+@inner
 def window_around(sim, tilt, tip, layer, depth, lateral):
     return position_is_free(sim, float(layer), float(depth), float(lateral), tilt, tip), tilt, tip
 
@@ -292,7 +294,7 @@ def best_for_cut(sim, burr, a, b, layer, depth, lateral):
         if -v[1] < least or incidence(bone, v) < here + sim.shaft.least_gain:
             continue
         if shaft_is_free(
-            space, float(layer), float(depth), float(lateral), v[0], v[1], v[2], 0.0, 0, hit
+            space, float(layer), float(depth), float(lateral), v[0], v[1], v[2], 0.0, NONE, hit
         ) and _can_turn(space, i, j, k, u, v, hit):
             tilt, tip = angles(v[0], v[1], v[2])
             return tilt, tip
@@ -314,7 +316,7 @@ def drop_inaccessible(space, modified):
                 if modified[i, j, k] == 0:
                     continue
                 d = space.directions[last]
-                if shaft_is_free(space, float(i), float(j), float(k), d[0], d[1], d[2], 0.0, 0, hit):
+                if shaft_is_free(space, float(i), float(j), float(k), d[0], d[1], d[2], 0.0, NONE, hit):
                     continue
                 search_from(space, float(i), float(j), float(k), 0.0, -1.0, 0.0)
                 m = next_free(space, float(i), float(j), float(k), hit)

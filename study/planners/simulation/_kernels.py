@@ -10,6 +10,8 @@ from study._compiled import inner, kernel
 from study.planners.freedom._kernels import remove
 from study.planners.simulation.state._kernels import BOUNDARY, LEFT, PROTECTED, TARGET, UNMILLED
 
+ADD, TAKE = np.int64(1), np.int64(-1)  # not plain numbers, each of which numba would compile for
+
 
 @inner
 def _ball_overlaps_box(x, y, z, hx, hy, hz, radius):
@@ -121,7 +123,7 @@ def count_live(solid, live):
         for d in range(solid.shape[1]):
             for b in range(solid.shape[2]):
                 if solid[layer, d, b] == TARGET:
-                    _shift_live(live, layer, d, b, 1)
+                    _shift_live(live, layer, d, b, ADD)
 
 
 @kernel
@@ -171,7 +173,7 @@ def _mill(sim, layer, depth, lateral):
     sim.solid[layer, depth, lateral] = 0
     remove(sim, layer, depth, lateral)
     _shift(sim.top, sim.top_rows, layer, depth, lateral, np.uint16(65535))  # minus one, modulo 2^16
-    _shift_live(sim.live, layer, depth, lateral, -1)
+    _shift_live(sim.live, layer, depth, lateral, TAKE)
 
 
 @inner

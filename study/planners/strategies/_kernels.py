@@ -15,7 +15,7 @@ from study.planners.freedom._kernels import (
     window_from,
 )
 from study.planners.motion._kernels import (
-    ANY_TARGET,
+    ANYTHING,
     ONE_VOXEL,
     SLICE,
     WITHIN_SLICE,
@@ -27,7 +27,9 @@ from study.planners.motion._kernels import (
     step_to,
 )
 from study.planners.simulation._kernels import mill_ball
-from study.planners.simulation.state._kernels import BOUNDARY, FULL, LEFT, ROWS, record
+from study.planners.simulation.state._kernels import BOUNDARY, FULL, LEFT, NOTHING, ROWS, record
+
+FIRST_ROW = np.int64(0)  # not a plain number, which numba would compile `_walk_back` once more for
 
 # --- 3-D ------------------------------------------------------------------------------------------------
 
@@ -74,7 +76,7 @@ def _walk_back(sim, burr, rows, to):
         if here[0] == burr[0] and here[1] == burr[1] and here[2] == burr[2]:
             turn(sim, burr, here[3], here[4])
         else:
-            record(sim, here[0], here[1], here[2], burr[3], burr[4], 0)
+            record(sim, here[0], here[1], here[2], burr[3], burr[4], NOTHING)
             burr[0], burr[1], burr[2] = here[0], here[1], here[2]
             turn(sim, burr, here[3], here[4])
 
@@ -122,9 +124,9 @@ def return_home(sim, search, burr, start):
     """The way back to the start voxel (2.3.7); the way it came, reversed, if the search finds none."""
     if burr[0] == start[0] and burr[1] == start[1] and burr[2] == start[2]:
         return
-    if go(sim, search, burr, np.array([ONE_VOXEL, start[0], start[1], start[2]])):
+    if go(sim, search, burr, (ONE_VOXEL, start[0], start[1], start[2])):
         return
-    _walk_back(sim, burr, sim.counters[ROWS], 0)
+    _walk_back(sim, burr, sim.counters[ROWS], FIRST_ROW)
 
 
 @inner
@@ -149,7 +151,7 @@ def decide(sim, search, burr, heading, weights, terms, candidates, scores):
             break
         n -= 1
         candidates[best], scores[best] = candidates[n], scores[n]
-    if not moved and not relocate(sim, search, burr, np.array([ANY_TARGET, 0, 0, 0])):
+    if not moved and not relocate(sim, search, burr, ANYTHING):
         return False
     if burr[0] != l0 or burr[2] != b0:
         heading[0] = (burr[0] - l0) * sim.steps[0]
@@ -158,18 +160,24 @@ def decide(sim, search, burr, heading, weights, terms, candidates, scores):
 
 
 @kernel
-def run_3d(sim, search, start, weights, terms):
-    """Mill by fitness until no target voxel can be reached, then go home."""
-    burr = np.zeros(7)
+def run_3d(sim, search, start, weights, terms, until):
+    """Mill by fitness until no target voxel can be reached, then go home.
+
+    Or, where `until` is not 0, stop at the first decision after which the path has so many rows. Returns
+    the burr's pose and the heading.
+    """
+    burr, heading = np.zeros(7), np.zeros(2)
     if not begin(sim, burr, start):
-        return False
-    heading = np.zeros(2)
+        return burr, heading
     candidates, scores = candidate_arrays(sim)
     while sim.counters[LEFT] > 0 and sim.counters[FULL] == 0:
+        if until > 0 and sim.counters[ROWS] >= until:
+            break
         if not decide(sim, search, burr, heading, weights, terms, candidates, scores):
             break
-    return_home(sim, search, burr, start)
-    return True
+    if until == 0:
+        return_home(sim, search, burr, start)
+    return burr, heading
 
 
 # --- 2.5-D zigzag ---------------------------------------------------------------------------------------
@@ -198,7 +206,7 @@ def _visit(sim, search, burr, i, j, k):
         if free:
             step_to(sim, burr, i, j, k, a, b)
             return True
-    return go(sim, search, burr, np.array([ONE_VOXEL, i, j, k]))
+    return go(sim, search, burr, (ONE_VOXEL, i, j, k))
 
 
 @inner
@@ -253,7 +261,6 @@ def run_zigzag(sim, search, start, targeted, row_axis, row_pitch, layer_pitch):
     burr = np.zeros(7)
     if not begin(sim, burr, start):
         return False
-    anything = np.array([ANY_TARGET, 0, 0, 0])
     n_depth = targeted.shape[1]
     first, last = n_depth, -1
     for d in range(n_depth):
@@ -264,8 +271,8 @@ def run_zigzag(sim, search, start, targeted, row_axis, row_pitch, layer_pitch):
         depth = min(top + layer_pitch // 2, last)
         _zigzag_layer(sim, search, burr, targeted, depth, row_axis, row_pitch)
         for d in range(top, min(top + layer_pitch, last + 1)):
-            circuit = np.array([WITHIN_SLICE, d, 0, 0])
-            rim = np.array([SLICE, d, 0, 0])
+            circuit = (WITHIN_SLICE, d, NOTHING, NOTHING)
+            rim = (SLICE, d, NOTHING, NOTHING)
             while sim.counters[FULL] == 0 and sim.left_at_depth[d] > 0:
                 if burr[1] == d and go(sim, search, burr, circuit):
                     continue
@@ -273,7 +280,7 @@ def run_zigzag(sim, search, start, targeted, row_axis, row_pitch, layer_pitch):
                     break
         top += layer_pitch
     while sim.counters[LEFT] > 0 and sim.counters[FULL] == 0:
-        if not relocate(sim, search, burr, anything):
+        if not relocate(sim, search, burr, ANYTHING):
             break
     return_home(sim, search, burr, start)
     return True

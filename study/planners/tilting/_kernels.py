@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from study._compiled import inner, kernel
 from study.collision._kernels import accessible_window, pose_is_free, remove_from_slabs
-from study.planners.simulation.state._kernels import record
+from study.planners.simulation.state._kernels import NOTHING, record
 
 
 @inner
@@ -55,7 +55,7 @@ def passing(sim, burr, a, b):
 def turn(sim, burr, tilt, tip):
     if tilt != burr[3]:
         burr[3] = tilt
-        record(sim, burr[0], burr[1], burr[2], tilt, 0.0, 0)
+        record(sim, burr[0], burr[1], burr[2], tilt, 0.0, NOTHING)
 
 
 @inner

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from study._compiled import inner, kernel
+from study._records import by_address
 from study.collision._kernels import ONE
 
 UNIT = 0.1  # mm of the distance field's numbers
@@ -19,6 +20,7 @@ MOST = 255.0  # of these
 REMOVED, REFRESHED, WITNESSED, WINDOWS = 0, 1, 2, 3  # entries of `counts`
 
 
+@by_address
 class FreeSpace(NamedTuple):
     """Unmilled bone as the shaft meets it (bits and distance change as bone is removed)."""
 

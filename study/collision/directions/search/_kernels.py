@@ -11,9 +11,8 @@ import numpy as np
 
 from study._compiled import inner, kernel
 from study.collision.directions.field._kernels import WINDOWS, WITNESSED
-from study.collision.directions.single._kernels import direction, ray_is_free, shaft_is_free
+from study.collision.directions.single._kernels import MANY, NONE, direction, ray_is_free, shaft_is_free
 
-WITNESSES, FEW = 64, 0  # voxels compared for the one that blocks most: for a wide cone, for a small window
 STRUCK = np.int32(-(2**31))  # key of a direction that is off the list
 HEART = 0.49  # of a voxel's edge: the ball in its cube, less what float32 may round
 
@@ -107,7 +106,7 @@ def next_free(space, layer, depth, lateral, hit):
         keys[chosen] = STRUCK
         d = space.directions[chosen]
         if ray_is_free(space, at, (d[0], d[1], d[2]), hit) and shaft_is_free(
-            space, layer, depth, lateral, d[0], d[1], d[2], 0.0, WITNESSES, hit
+            space, layer, depth, lateral, d[0], d[1], d[2], 0.0, MANY, hit
         ):
             return chosen
         _testify(space, at, hit[0], hit[1], hit[2], keys, space.rays)
@@ -128,7 +127,9 @@ def directions_free(space, layer, depth, lateral, axes, free):
     """Fill bool `free` for (n, 3) directions at one position, one look each."""
     hit = np.zeros(3, np.int64)
     for m in range(axes.shape[0]):
-        free[m] = shaft_is_free(space, layer, depth, lateral, axes[m, 0], axes[m, 1], axes[m, 2], 0.0, 0, hit)
+        free[m] = shaft_is_free(
+            space, layer, depth, lateral, axes[m, 0], axes[m, 1], axes[m, 2], 0.0, NONE, hit
+        )
 
 
 @inner
@@ -142,9 +143,9 @@ def _settle_tile(space, layer, depth, lateral, tilts, tips, first, second, size,
         return 0
     # Angles are never larger than lengths in the plane of tilt and tip.
     spread = 0.5 * sqrt((z - a) * (z - a) + (y - b) * (y - b))
-    if not shaft_is_free(space, layer, depth, lateral, u0, u1, u2, spread, FEW, hit):
+    if not shaft_is_free(space, layer, depth, lateral, u0, u1, u2, spread, NONE, hit):
         if size > 1:
-            if shaft_is_free(space, layer, depth, lateral, u0, u1, u2, 0.0, WITNESSES, hit):
+            if shaft_is_free(space, layer, depth, lateral, u0, u1, u2, 0.0, MANY, hit):
                 return -1
             return 0
         keys[first * tips.size + second] = STRUCK

@@ -23,6 +23,9 @@ from study.collision.directions.field._kernels import UNIT
 from study.collision.exact._kernels import cylinder_overlaps_box
 
 LOOSEST = 0.7  # mm that a cone may widen the shaft by where voxels are looked up one by one
+# Further voxels compared for the one that blocks most: none, or for a wide cone. (Of numpy's type: for
+# plain numbers numba would compile the callee once each.)
+NONE, MANY = np.int64(0), np.int64(64)
 
 
 @inner
@@ -322,7 +325,7 @@ def turn_is_free(space, layer, depth, lateral, u0, u1, u2, v0, v1, v2, hit):
         p, q = sin((1.0 - f) * whole) / sine, sin(f * whole) / sine
         spread = 0.0 if single else 0.5 * size * whole
         if shaft_is_free(
-            space, layer, depth, lateral, p * u0 + q * v0, p * u1 + q * v1, p * u2 + q * v2, spread, 0, hit
+            space, layer, depth, lateral, p * u0 + q * v0, p * u1 + q * v1, p * u2 + q * v2, spread, NONE, hit
         ):
             at += size
             # The next part may be twice as long where the halving comes out even.

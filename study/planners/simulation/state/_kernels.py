@@ -7,12 +7,15 @@ from typing import NamedTuple
 import numpy as np
 
 from study._compiled import inner
+from study._records import by_address
 
 PROTECTED, TARGET = 1, 2  # values of `solid`
 UNMILLED, BOUNDARY = 1, 2  # values of `modified`; 0 is cleared or never targeted
 ROWS, LEFT, DRAWN, FULL = 0, 1, 2, 3  # entries of `counters`
+NOTHING = np.int64(0)  # removed; of numpy's type: for a plain number numba would compile `record` twice
 
 
+@by_address
 class LiveBone(NamedTuple):
     """Sums over the unmilled target that the burr overlaps, kept for every voxel it may stand at.
 
@@ -26,6 +29,7 @@ class LiveBone(NamedTuple):
     ahead: np.ndarray  # int32 [4, layer, depth, lateral]: voxels; sums of their layers, depths, laterals
 
 
+@by_address
 class Simulation(NamedTuple):
     """Everything that changes while a plan is made, in canonical order ``[layer, depth, lateral]``."""
 
