@@ -10,8 +10,4 @@ Lengths are millimetres, angles radians (degrees only in names that say so), poi
 float64 arrays in the volume's mm frame (LPS: +x left, +y posterior, +z superior).
 """
 
-from study._compiled import use_versioned_cache
-
 __version__ = "0.1.0"
-
-use_versioned_cache()

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import numba as nb
 import numpy as np
 
+from study._compiled import inner, kernel
 from study.planners.simulation._kernels import segment_overlaps_box
 
 
-@nb.njit(cache=True)
+@inner
 def _squared_to_box(x, y, z, i, j, k, h0, h1, h2):
     # Squared mm from (x, y, z) to the box of voxel (i, j, k) whose half sizes are h.
     a = max(abs(x - 2 * h0 * i) - h0, 0.0)
@@ -17,14 +17,14 @@ def _squared_to_box(x, y, z, i, j, k, h0, h1, h2):
     return a * a + b * b + c * c
 
 
-@nb.njit(cache=True)
+@inner
 def _is_protected(labels, air, target, i, j, k):
     if not (0 <= i < labels.shape[0] and 0 <= j < labels.shape[1] and 0 <= k < labels.shape[2]):
         return True
     return labels[i, j, k] != air and labels[i, j, k] != target
 
 
-@nb.njit(cache=True)
+@inner
 def _only_arc(arc, legs, i, j, k, h0, h1, h2, outer, inner):
     # Overlapped from a sample of the arc and from none of the legs.
     cut = False
@@ -40,7 +40,7 @@ def _only_arc(arc, legs, i, j, k, h0, h1, h2, outer, inner):
     return True
 
 
-@nb.njit(cache=True)
+@inner
 def _extra_voxels(start, u, n, w, reach, turn, spacing, radius, count, labels, air, target, at, alone, out):
     """Offsets the burr overlaps on the arc and not on the two legs it replaces; how many.
 
@@ -98,7 +98,7 @@ def _extra_voxels(start, u, n, w, reach, turn, spacing, radius, count, labels, a
     return found
 
 
-@nb.njit(cache=True)
+@kernel
 def corners_are_safe(labels, air, target, voxels, kinds, order, starts, into, normals, out_of, reaches, turns,
                      spacing, radius, count):  # fmt: skip
     """Per corner, whether its arc cuts no protected voxel beyond those its legs cut.
@@ -130,7 +130,7 @@ def corners_are_safe(labels, air, target, voxels, kinds, order, starts, into, no
     return safe
 
 
-@nb.njit(cache=True)
+@kernel
 def weight_removed(labels, target, weight, points, spacing, radius):
     """Sum of `weight` over the target voxels first overlapped by the burr on its way to each point.
 
