@@ -14,7 +14,7 @@ from study.specimens import read_temporal_bone_case, structure_mask
 from study.volumes import LabelVolume
 
 CASES = ["RT143", "LT151"]
-SETTINGS = GrowthSettings(registrations=4000, validation_registrations=20_000)
+SETTINGS = GrowthSettings(registrations=3000, validation_registrations=10_000)
 
 
 @lru_cache
@@ -37,7 +37,7 @@ def test_margins_hold_on_registrations_never_used_before(name):
     for margin in margins(name):
         assert margin.acceptable_risk == ACCEPTABLE_RISKS[margin.structure]
         assert 0 < margin.damage_risk <= margin.acceptable_risk or margin.acceptable_risk == 0.001
-        sure = RiskEstimate(margin.validation.hits, 20_000, level=0.999).interval
+        sure = RiskEstimate(margin.validation.hits, 10_000, level=0.999).interval
         assert sure[0] <= margin.acceptable_risk
         assert not (margin.mask & margin.structure_mask).any()
         # Some mm at most, and about as many standard deviations as the tolerance says.
