@@ -14,14 +14,14 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from scipy import ndimage
 
 from study import published
 from study.appendix import over_specimens, select_specimens
 from study.cases import Case, load_case
 from study.errors import InputError, LabelError
 from study.margins import ACCEPTABLE_RISKS, GrowthSettings, SafetyMargin, grow_margin
-from study.margins.region import LEAST_VOXELS
+from study.margins.published import shell_of
+from study.margins.region import LEAST_VOXELS, Region
 from study.paths import PROJECT
 from study.registration import PointRegistration
 from study.specimens import structure_mask
@@ -134,7 +134,7 @@ def margin_row(margin: SafetyMargin) -> dict[str, object]:
     before = curve.loc[curve["margin_voxels"] < margin.voxels, "risk"]
     exact = margin.settings.method == "exact" and len(before)
     solid, voxel = margin.structure_mask, margin.volume.voxel_volume
-    layer = ndimage.binary_dilation(solid, np.ones((3, 3, 3), bool)) & ~solid
+    layer = shell_of(Region.around(solid, margin.volume, 0.0).solid)
     return {
         **{name: values[name] for name in QUANTITIES},
         "acceptable_risk": margin.acceptable_risk,

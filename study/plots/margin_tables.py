@@ -56,6 +56,8 @@ def margin_volumes(table: pd.DataFrame) -> Figure:
                 )  # fmt: skip
         ax.set(title=f"{size:g} mm voxels", xlabel="volume of the margin (mm³)", xscale="log")
         ax.set_yticks(range(len(structures)), [_name(s) for s in structures])
+        ax.set_xticks([20, 50, 100, 200, 500, 1000], ["20", "50", "100", "200", "500", "1000"])
+        ax.minorticks_off()
         ax.grid(axis="x", color="0.9")
         ax.set_axisbelow(True)
         ax.spines[["top", "right"]].set_visible(False)
