@@ -16,7 +16,7 @@ from margin_cases import (
 )
 from scipy import ndimage, stats
 
-from study.margins import GrowthSettings, allowed_hits, grow_margin, growth, overall_risk
+from study.margins import GrowthSettings, allowed_hits, exact, grow_margin, overall_risk
 from study.registration import PointRegistration, displacement_moments
 
 SHAPES = ["spatially_varying", "constant_thickness"]
@@ -110,9 +110,9 @@ def test_curve_is_the_risk_of_margins_made_by_hand(name, shape):
 @pytest.mark.parametrize("shape", SHAPES)
 def test_where_ranking_begins_changes_nothing(shape, monkeypatch):
     plain, _ = margin_and_ranks("tube", shape)
-    begin = growth.first_cut
+    begin = exact.first_cut
     for share in (0.3, 0.7, 2.0):
-        monkeypatch.setattr(growth, "first_cut", lambda *given, share=share: share * begin(*given))
+        monkeypatch.setattr(exact, "first_cut", lambda *given, share=share: share * begin(*given))
         other, _ = margin_and_ranks("tube", shape)
         assert np.array_equal(other.mask, plain.mask)
         assert other.estimate == plain.estimate and other.validation == plain.validation

@@ -13,9 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
-from study.margins.overall_risk import Corners, Memory, largest_values, ranked_corners
+from study.margins.overall_risk import Memory, RiskEstimate, largest_values, ranked_corners
 from study.margins.point_risk import reach_of_metric, smallest_distances, widest_deviation
-from study.margins.region import Region
+from study.margins.region import Region, reach_of
+from study.margins.task import Grown, Task
 from study.registration.moments import DisplacementMoments
 
 #: Distances that differ by less than this are a tie, which the voxel's place in memory breaks.
@@ -87,7 +88,7 @@ def first_cut(
 
 @dataclass(frozen=True, eq=False)
 class Choice:
-    """Registrations and ranked voxels from which a margin is chosen.
+    """Registrations and ranked voxels from which a margin was chosen.
 
     Attributes
     ----------
@@ -95,27 +96,21 @@ class Choice:
     ranking : Ranking
     transforms : (n, 4, 4) array
         The simulated registrations.
-    corners : Corners
-        Those worth more than `floor`.
     floor : int
-        Margins of fewer voxels are out of the question.
+        Smaller needs were not looked for.
     largest_needs : (n,) int32 array
-        What each registration needs, `floor` if that or less.
+        Voxels of the smallest margin from which on each registration is harmless; `floor` if no more, one
+        more than there are ranked voxels where these are not enough.
     """
 
     region: Region
     ranking: Ranking
     transforms: np.ndarray
-    corners: Corners
     floor: int
     largest_needs: np.ndarray
-    memory: Memory
 
     def needs(self) -> np.ndarray:
-        """(n,) voxels of the smallest margin from which on each registration is harmless.
-
-        One more than there are ranked voxels where these are not enough.
-        """
+        """(n,) int32 array: as `largest_needs`, without the floor."""
         if self.floor == 0:
             return self.largest_needs
         reaching = self.region.reaching_corners(self.transforms)
@@ -123,34 +118,26 @@ class Choice:
         return largest_values(corners, self.region, self.transforms)
 
 
-def choice_of(
-    region: Region,
-    metric: DisplacementMoments,
-    transforms: np.ndarray,
-    cut: float,
-    allowed: int,
-    others: np.ndarray | None = None,
-) -> Choice:
-    """Rank voxels and find the largest margins that registrations need.
+def grow_exactly(
+    task: Task, allowed: int, growing: np.random.Generator, validating: np.random.Generator
+) -> Grown:
+    """The smallest margin with which at most `allowed` of the simulated registrations do damage.
 
     Parameters
     ----------
-    region : Region
-    metric : DisplacementMoments
-    transforms : (n, 4, 4) array
-    cut : float
-        Up to which distance to rank voxels at first; more are ranked if more than a third of the `allowed`
-        registrations need more.
+    task : Task
     allowed : int
-        More registrations than this shall have their needs found.
-    others : (m, 4, 4) array, optional
-        Registrations that `corners` shall also serve.
+    growing, validating : Generator
+        For the registrations that the margin is chosen on, and for fresh ones.
     """
-    every = transforms if others is None else np.concatenate([transforms, others])
-    reaching = region.reaching_corners(every)
-    moves = region.moves(every)
-    while True:
-        ranking = ranked_voxels(region, metric, cut)
+    transforms, fresh = task.registrations(growing), task.fresh_registrations(validating)
+    every = np.concatenate([transforms, fresh])
+    region = Region.around(task.mask, task.volume, reach_of(every, task.mask, task.volume))
+    reaching, moves = region.reaching_corners(every), region.moves(every)
+    cut = first_cut(region, task.metric, task.moments, task.acceptable_risk)
+    enough = False
+    while not enough:
+        ranking = ranked_voxels(region, task.metric, cut)
         floor = int(np.searchsorted(ranking.distances, _FLOOR * cut))
         while True:
             corners = ranked_corners(region, ranking.order, reaching, floor)
@@ -159,7 +146,21 @@ def choice_of(
             if floor == 0 or np.count_nonzero(needs > floor) > allowed:
                 break
             floor //= 2
+        # The curve shall go on for a while beyond the margin.
         beyond = np.count_nonzero(needs > len(ranking.order))
-        if beyond <= allowed // 3 or len(ranking.order) == np.count_nonzero(region.solid == 0):
-            return Choice(region, ranking, transforms, corners, floor, needs, memory)
+        enough = beyond <= allowed // 3 or len(ranking.order) == np.count_nonzero(region.solid == 0)
         cut *= _WIDER
+    size = int(np.partition(needs, len(needs) - 1 - allowed)[len(needs) - 1 - allowed])
+    margin = np.zeros(region.shape, bool)
+    margin.reshape(-1)[ranking.order[:size]] = True
+    validation = None
+    if len(fresh):
+        hits = largest_values(corners, region, fresh, above=size, first_only=True, memory=memory) > size
+        validation = RiskEstimate(int(np.count_nonzero(hits)), len(fresh))
+    return Grown(
+        mask=region.full(margin),
+        estimate=RiskEstimate(int(np.count_nonzero(needs > size)), len(needs)),
+        validation=validation,
+        distance=float(ranking.distances[size - 1]) if size else 0.0,
+        choice=Choice(region, ranking, transforms, floor, needs),
+    )

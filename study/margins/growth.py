@@ -8,15 +8,15 @@ from collections.abc import Sequence
 import numpy as np
 
 from study.errors import InputError, LabelError
-from study.margins.exact import choice_of, first_cut
+from study.margins.exact import grow_exactly
 from study.margins.margin import SafetyMargin
 from study.margins.order_statistics import allowed_hits
-from study.margins.overall_risk import RiskEstimate, largest_values, overall_damage_risk
 from study.margins.point_risk import euclidean
 from study.margins.published import grow_as_published
-from study.margins.region import Region, checked_structure, edge_share, reach_of
+from study.margins.region import checked_structure, edge_share
 from study.margins.settings import ACCEPTABLE_RISKS, SHAPES, GrowthSettings, checked_share
-from study.registration.sources import ErrorSource, checked_transforms, displacement_moments
+from study.margins.task import Task
+from study.registration.sources import ErrorSource, displacement_moments
 from study.volumes import LabelVolume
 
 
@@ -79,12 +79,14 @@ def grow_margin(
     growing, validating = np.random.default_rng(rng).spawn(2)
     moments = displacement_moments(model)
     metric = moments if shape == "spatially_varying" else euclidean()
-    given = (volume, mask, model, metric, acceptable_risk, settings)
+    task = Task(
+        volume, mask, model, moments, metric, acceptable_risk, settings.decay_start_of(name), settings
+    )
     if settings.method == "published":
-        found = _published(*given, settings.decay_start_of(name), growing, validating)
+        grown = grow_as_published(task, growing, validating)
     else:
         allowed = allowed_hits(settings.registrations, acceptable_risk, settings.confidence)
-        found = _exact(*given, moments, allowed, growing, validating)
+        grown = grow_exactly(task, allowed, growing, validating)
     return SafetyMargin(
         structure=name,
         volume=volume,
@@ -95,7 +97,7 @@ def grow_margin(
         settings=settings,
         edge_share=edge_share(mask),
         time_s=time.perf_counter() - begun,
-        **found,
+        **vars(grown),
     )
 
 
@@ -111,49 +113,3 @@ def _mask_of(
     if not mask.any():
         raise LabelError(f"{name}: expected a structure of the volume, got no voxel of it")
     return checked_structure(mask, name, volume), name
-
-
-def _exact(volume, mask, model, metric, acceptable_risk, settings, moments, allowed, growing, validating):
-    transforms = checked_transforms(model, settings.registrations, growing)
-    fresh = None
-    if settings.validation_registrations:
-        fresh = checked_transforms(model, settings.validation_registrations, validating)
-    every = transforms if fresh is None else np.concatenate([transforms, fresh])
-    region = Region.around(mask, volume, reach_of(every, mask, volume))
-    cut = first_cut(region, metric, moments, acceptable_risk)
-    choice = choice_of(region, metric, transforms, cut, allowed, fresh)
-    needs, ranking = choice.largest_needs, choice.ranking
-    size = int(np.partition(needs, len(needs) - 1 - allowed)[len(needs) - 1 - allowed])
-    margin = np.zeros(region.shape, bool)
-    margin.reshape(-1)[ranking.order[:size]] = True
-    validation = None
-    if fresh is not None:
-        corners, memory = choice.corners, choice.memory
-        hits = largest_values(corners, region, fresh, above=size, first_only=True, memory=memory) > size
-        validation = RiskEstimate(int(np.count_nonzero(hits)), len(fresh))
-    return {
-        "mask": region.full(margin),
-        "estimate": RiskEstimate(int(np.count_nonzero(needs > size)), len(needs)),
-        "validation": validation,
-        "distance": float(ranking.distances[size - 1]) if size else 0.0,
-        "choice": choice,
-    }
-
-
-def _published(volume, mask, model, metric, acceptable_risk, settings, decay_start, growing, validating):
-    growth = grow_as_published(mask, volume, model, metric, acceptable_risk, decay_start, settings, growing)
-    margin = growth.region.full(growth.margin)
-    validation = None
-    if settings.validation_registrations:
-        fresh = checked_transforms(model, settings.validation_registrations, validating)
-        region = Region.around(mask, volume, reach_of(fresh, mask, volume))
-        box = tuple(slice(a, a + n) for a, n in zip(region.low, region.shape, strict=True))
-        union = region.solid | margin[box].view(np.uint8)
-        validation = overall_damage_risk(region, union, fresh)
-    return {
-        "mask": margin,
-        "estimate": growth.estimate,
-        "validation": validation,
-        "distance": growth.distance,
-        "history": growth.history,
-    }

@@ -15,8 +15,8 @@ from scipy.spatial import cKDTree
 from study.errors import InputError
 from study.margins.exact import in_order
 from study.margins.margin import SafetyMargin
-from study.margins.point_risk import point_damage_risk
-from study.margins.published import _all_distances, shell_of
+from study.margins.point_risk import all_distances, point_damage_risk
+from study.margins.published import shell_of
 from study.margins.region import Region
 from study.registration.sources import ErrorSource, displacement_moments
 from study.volumes import LabelVolume
@@ -198,7 +198,7 @@ def growth_step(margin: SafetyMargin, risk: float) -> GrowthStep:
     for step in range(number + 1):
         shell = shell_of(solid)
         fresh = np.argwhere(shell & np.isnan(distances))
-        distances[tuple(fresh.T)] = _all_distances(region, fresh, moments, known)
+        distances[tuple(fresh.T)] = all_distances(region, fresh, moments, known)
         flat = np.flatnonzero(shell)
         order = in_order(distances.reshape(-1)[flat], flat)
         chosen = np.zeros(region.shape, bool)
@@ -222,7 +222,7 @@ def analyzed_shell(margin: SafetyMargin) -> tuple[np.ndarray, np.ndarray]:
     region = _region(margin, margin.structure_mask | margin.mask)
     union = (margin.structure_mask | margin.mask)[_slices(region)].view(np.uint8)
     voxels = np.argwhere(shell_of(union))
-    distances = _all_distances(region, voxels, displacement_moments(margin.model), 0.0)
+    distances = all_distances(region, voxels, displacement_moments(margin.model), 0.0)
     return voxels + region.low, point_damage_risk(distances)
 
 

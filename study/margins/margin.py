@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -12,8 +12,7 @@ from scipy import ndimage
 from study.errors import InputError, MarginError
 from study.margins.exact import Choice
 from study.margins.overall_risk import RiskEstimate, overall_damage_risk
-from study.margins.point_risk import point_damage_risk
-from study.margins.published import _all_distances
+from study.margins.point_risk import all_distances, point_damage_risk
 from study.margins.region import Region, reach_of
 from study.margins.settings import GrowthSettings
 from study.registration.sources import ErrorSource, checked_transforms, displacement_moments
@@ -134,12 +133,9 @@ class SafetyMargin:
     @cached_property
     def shell_distances(self) -> np.ndarray:
         """(n,) smallest Mahalanobis distance of the final shell's voxels to the structure's surface."""
-        region = Region.around(self.structure_mask | self.mask, self.volume, 0.0)
-        box = tuple(slice(a, a + n) for a, n in zip(region.low, region.shape, strict=True))
-        solid = np.ascontiguousarray(self.structure_mask[box]).view(np.uint8)
-        region = Region(solid, region.low, region.affine, region.whole)
-        voxels = np.ascontiguousarray(self.final_shell - region.low)
-        return _all_distances(region, voxels, displacement_moments(self.model), 0.0)
+        around = Region.around(self.structure_mask | self.mask, self.volume, 0.0)
+        region = replace(around, solid=around.part(self.structure_mask).view(np.uint8))
+        return all_distances(region, self.final_shell - region.low, displacement_moments(self.model))
 
     @property
     def shell_point_risks(self) -> np.ndarray:
@@ -167,8 +163,7 @@ class SafetyMargin:
             transforms = checked_transforms(model or self.model, count, rng)
             reach = reach_of(transforms, self.structure_mask, self.volume)
             region = Region.around(self.structure_mask, self.volume, reach)
-            box = tuple(slice(a, a + n) for a, n in zip(region.low, region.shape, strict=True))
-            union = region.solid | self.mask[box].view(np.uint8)
+            union = region.part(self.structure_mask | self.mask).view(np.uint8)
             hits += overall_damage_risk(region, union, transforms).hits
             done += count
         return RiskEstimate(hits, done)

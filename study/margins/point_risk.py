@@ -135,6 +135,18 @@ def _columns(reach: float) -> tuple[np.ndarray, np.ndarray]:
     return grid[order], lengths[order]
 
 
+def all_distances(
+    region: Region, voxels: np.ndarray, moments: DisplacementMoments, expected: float = 0.0
+) -> np.ndarray:
+    """As `smallest_distances`, however large; `expected` tells where to begin looking."""
+    out = np.full(len(voxels), np.inf)
+    cut = 1.5 * expected or 4.0
+    while (far := np.flatnonzero(np.isinf(out))).size:
+        out[far] = smallest_distances(region, np.ascontiguousarray(voxels[far]), moments, cut)
+        cut *= 2
+    return out
+
+
 def point_damage_risk(distances: np.ndarray) -> np.ndarray:
     """Probability that a normal error is longer than so many standard deviations, in any direction.
 

@@ -7,21 +7,16 @@ highest point damage risk enter the margin.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import pandas as pd
 
 from study.errors import MarginError
 from study.margins.distances import _kernels
 from study.margins.exact import in_order
-from study.margins.overall_risk import RiskEstimate, overall_damage_risk
-from study.margins.point_risk import smallest_distances
+from study.margins.overall_risk import overall_damage_risk
+from study.margins.point_risk import all_distances
 from study.margins.region import Region, reach_of
-from study.margins.settings import GrowthSettings
-from study.registration.moments import DisplacementMoments
-from study.registration.sources import ErrorSource, checked_transforms
-from study.volumes import LabelVolume
+from study.margins.task import Grown, Task
 
 
 def transfer_share(risk: float, acceptable_risk: float, initial: float, decay_start: float) -> float:
@@ -41,91 +36,59 @@ def shell_of(union: np.ndarray) -> np.ndarray:
     return (out == 1) & (union == 0)
 
 
-@dataclass(frozen=True, eq=False)
-class Growth:
-    """A margin grown step by step.
-
-    Attributes
-    ----------
-    region : Region
-    margin : (nx, ny, nz) bool array
-        In the region's box.
-    estimate : RiskEstimate
-        Of the last step, with which growth stopped.
-    history : DataFrame
-        One row a step: voxels in margin and shell, risk, share transferred.
-    distance : float
-        Largest of a transferred voxel.
-    """
-
-    region: Region
-    margin: np.ndarray
-    estimate: RiskEstimate
-    history: pd.DataFrame
-    distance: float
-
-
-def grow_as_published(
-    mask: np.ndarray,
-    volume: LabelVolume,
-    model: ErrorSource,
-    metric: DisplacementMoments,
-    acceptable_risk: float,
-    decay_start: float,
-    settings: GrowthSettings,
-    rng: np.random.Generator,
-) -> Growth:
+def grow_as_published(task: Task, growing: np.random.Generator, validating: np.random.Generator) -> Grown:
     """Grow a margin until the overall damage risk of a step is acceptable.
+
+    Parameters
+    ----------
+    task : Task
+    growing, validating : Generator
+        For the registrations of the steps, and for fresh ones.
 
     Raises
     ------
     MarginError
         If that takes more than ``settings.most_steps`` steps.
     """
-    reach, region, margin, distances = 0.0, None, None, None
-    known = 0.0
+    settings = task.settings
+    reach = farthest = 0.0
+    region, margin = None, np.zeros(task.mask.shape, bool)
     rows = []
     for _ in range(settings.most_steps):
-        transforms = checked_transforms(model, settings.registrations, rng)
-        if (needed := reach_of(transforms, mask, volume)) > reach:
+        transforms = task.registrations(growing)
+        if (needed := reach_of(transforms, task.mask, task.volume)) > reach:
+            # Room for the next draws too: what is known is lost with the box.
             reach = 1.3 * needed
-            before = None if region is None else region.full(margin)
-            region = Region.around(mask, volume, reach)
-            box = tuple(slice(a, a + n) for a, n in zip(region.low, region.shape, strict=True))
-            margin = np.zeros(region.shape, bool) if before is None else before[box].copy()
+            margin = margin if region is None else region.full(margin)
+            region = Region.around(task.mask, task.volume, reach)
+            margin = region.part(margin)
             distances = np.full(region.shape, np.nan)
         union = region.solid | margin.view(np.uint8)
         estimate = overall_damage_risk(region, union, transforms, shell_only=True)
         shell = shell_of(union)
-        share = transfer_share(estimate.risk, acceptable_risk, settings.initial_transfer, decay_start)
+        share = transfer_share(
+            estimate.risk, task.acceptable_risk, settings.initial_transfer, task.decay_start
+        )
         rows.append((int(margin.sum()), int(shell.sum()), estimate.risk, share))
-        if estimate.risk <= acceptable_risk:
+        if estimate.risk <= task.acceptable_risk:
             break
         fresh = np.argwhere(shell & np.isnan(distances))
-        if len(fresh):
-            distances[tuple(fresh.T)] = _all_distances(region, fresh, metric, known)
+        distances[tuple(fresh.T)] = all_distances(region, fresh, task.metric, farthest)
         flat = np.flatnonzero(shell)
         order = in_order(distances.reshape(-1)[flat], flat)
         count = min(len(flat), max(settings.least_transfer, int(share * len(flat))))
         chosen = flat[order[:count]]
-        known = max(known, float(distances.reshape(-1)[chosen].max()))
+        farthest = max(farthest, float(distances.reshape(-1)[chosen].max()))
         margin.reshape(-1)[chosen] = True
     else:
         raise MarginError(
-            f"growth stalled: expected an overall damage risk of at most {acceptable_risk} within "
+            f"growth stalled: expected an overall damage risk of at most {task.acceptable_risk} within "
             f"{settings.most_steps} steps, got {rows[-1][2]:.4g} with {rows[-1][0]} voxels in the margin"
         )
+    mask = region.full(margin)
+    validation = None
+    if len(fresh := task.fresh_registrations(validating)):
+        region = Region.around(task.mask, task.volume, reach_of(fresh, task.mask, task.volume))
+        validation = overall_damage_risk(region, region.part(task.mask | mask).view(np.uint8), fresh)
     history = pd.DataFrame(rows, columns=["margin_voxels", "shell_voxels", "risk", "transfer_share"])
-    return Growth(region, margin, estimate, history, known)
-
-
-def _all_distances(
-    region: Region, voxels: np.ndarray, metric: DisplacementMoments, known: float
-) -> np.ndarray:
-    """Distances of voxels, however large; `known` is where to begin looking."""
-    out = np.full(len(voxels), np.inf)
-    cut = 1.5 * known or 4.0
-    while (far := np.flatnonzero(np.isinf(out))).size:
-        out[far] = smallest_distances(region, np.ascontiguousarray(voxels[far]), metric, cut)
-        cut *= 2
-    return out
+    return Grown(mask, estimate, validation, farthest, history=history)

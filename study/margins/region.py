@@ -62,10 +62,19 @@ class Region:
         """mm^3."""
         return float(abs(np.linalg.det(self.affine[:3, :3])))
 
+    @property
+    def box(self) -> tuple[slice, slice, slice]:
+        """Where the box is in the volume."""
+        return tuple(slice(a, a + n) for a, n in zip(self.low, self.shape, strict=True))
+
+    def part(self, mask: np.ndarray) -> np.ndarray:
+        """The box's part, a copy, of a mask of the whole volume."""
+        return np.array(mask[self.box], order="C")
+
     def full(self, mask: np.ndarray) -> np.ndarray:
         """A bool mask of the whole volume from one of the box."""
         out = np.zeros(self.whole, bool)
-        out[tuple(slice(a, a + n) for a, n in zip(self.low, self.shape, strict=True))] = mask
+        out[self.box] = mask
         return out
 
     def corner_points(self, corners: np.ndarray) -> np.ndarray:
