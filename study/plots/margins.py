@@ -291,8 +291,8 @@ def risk_against_margin(margins: Sequence[SafetyMargin]) -> Figure:
     """
     figure, axes = new_axes(1, 2, (12, 4.9), sharey=True)
     handles = []
-    for margin in margins:
-        table = margin.curve()
+    curves = [margin.curve() for margin in margins]
+    for margin, table in zip(margins, curves, strict=True):
         style = style_of(margin.structure)
         chosen = margin.volume_mm3, margin.distance
         for ax, column, x in zip(axes[0], ("volume_mm3", "distance"), chosen, strict=True):
@@ -300,7 +300,7 @@ def risk_against_margin(margins: Sequence[SafetyMargin]) -> Figure:
             ax.plot(x, margin.damage_risk, "o", ms=8, mfc=style.colour, mec="black", zorder=4)
             ax.plot([x], [margin.acceptable_risk], "_", ms=15, mew=2, color="black", zorder=4)
         handles.append(Line2D([], [], color=style.colour, lw=2.4, label=style.title))
-    least = min(m.curve()["risk"].replace(0, np.nan).min() for m in margins)
+    least = min(table.loc[table["risk"] > 0, "risk"].min() for table in curves)
     axes[0, 0].set(yscale="log", xlabel="volume of the margin (mm³)", ylabel="overall damage risk")
     axes[0, 0].set(xlim=(0, None), ylim=(least / 1.5, 1.3), title="(a) what safety costs in bone")
     axes[0, 1].set(xlabel="distance the margin reaches (standard deviations of the error)", xlim=(0, None))

@@ -17,6 +17,9 @@ from study.rendering.scene import Scene
 from study.rendering.views import View, approach_view, posterior_on_right
 from study.volumes import LabelVolume
 
+#: Structures that others would be hidden behind: they are drawn translucent.
+WIDE = {"dura", "sigmoid_sinus_and_dura"}
+
 
 def _structures(volume: LabelVolume) -> list[str]:
     return [
@@ -50,20 +53,19 @@ def labelled_anatomy(volume: LabelVolume, planning: LabelVolume, approach: np.nd
     solid: dict[str, list[np.ndarray]] = {}
     for name in kept:
         mask = volume.mask(name)
-        inside.mask(mask, volume.affine, name, opacity=0.4 if structure_of(name) == "dura" else 1.0)
+        inside.mask(mask, volume.affine, name, opacity=0.35 if structure_of(name) in WIDE else 1.0)
         solid.setdefault(structure_of(name), []).append(volume.points(np.argwhere(mask)))
     inside.mask(target, planning.affine, "target", opacity=0.2)
     board = Board(13, 5.35)
     width, height = 5.2, 4.6
     for scene in (outside, inside):
-        with_room(scene, 1.2)
+        with_room(scene, 1.2, (width - 0.5) / height)
     board.scene(outside, 0.1, 0.35, width, height, "(a) from outside")
     ax = board.scene(inside, 6.8, 0.35, width - 0.5, height, "(b) what the target lies between")
     size = (int(130 * (width - 0.5)), int(130 * height))
     points = {name: np.concatenate(parts) for name, parts in solid.items()}
     clear = {"target": planning.points(np.argwhere(target))}
-    if "dura" in points:
-        clear["dura"] = points.pop("dura")
+    clear |= {name: points.pop(name) for name in WIDE & points.keys()}
     spots = visible_spots(points, clear, inside.view, size)
     leaders(ax, spots, size)
     return board.legend(patches("bone", "target"), 2)

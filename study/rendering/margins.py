@@ -20,11 +20,13 @@ from study.plots.palette import structure_of, style_of
 from study.plots.planes import Plane, axial
 from study.plots.style import patches, styled
 from study.rendering.board import Board, with_room
+from study.rendering.labelled import WIDE
 from study.rendering.panels import panels
 from study.rendering.scene import Scene
 from study.rendering.views import View, approach_view, posterior_on_right
 from study.rendering.voxels import voxel_cubes
 from study.specimens import structure_mask
+from study.specimens.structures import labels_of
 from study.volumes import LabelVolume
 
 RISKS = "magma_r"
@@ -268,10 +270,11 @@ def margins_in_space(
         whole.mesh(pv.Sphere(radius=1.6, center=point), "fiducial", opacity=1.0)
     for margin in margins:
         body = structure_mask(volume, margin.structure)
+        wide = any(structure_of(label) in WIDE for label in labels_of(volume, margin.structure))
         for scene in (whole, close):
-            scene.mask(body, volume.affine, margin.structure)
+            scene.mask(body, volume.affine, margin.structure, opacity=0.35 if wide else 1.0)
         around = margin.mask | margin.structure_mask
-        close.mask(around, margin.volume.affine, "margin", opacity=0.4, smooth=60)
+        close.mask(around, margin.volume.affine, "margin", opacity=0.2 if wide else 0.4, smooth=60)
     whole.mask(target, planning.affine, "target", opacity=0.4)
     close.mask(target, planning.affine, "target", opacity=0.13)
     for name in (n for n in volume.names if structure_of(n) == "bone"):
