@@ -23,8 +23,11 @@ from study.registration.moments import DisplacementMoments
 _TIE = 1e-9
 #: How much farther the next attempt looks when a registration needs voxels that have no rank yet.
 _WIDER = 1.3
-#: Share of that distance below which no margin is expected to end: at first needs below it are not found.
-_FLOOR = 0.7
+# Share of that distance below which no margin is expected to end: at first needs below it are not found.
+_FLOOR = 0.85
+# How much lower the next attempt looks; all the way where there are few voxels.
+_LOWER = 0.85
+_SMALL = 10_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,14 +141,15 @@ def grow_exactly(
     enough = False
     while not enough:
         ranking = ranked_voxels(region, task.metric, cut)
-        floor = int(np.searchsorted(ranking.distances, _FLOOR * cut))
+        lowest = _FLOOR * cut
         while True:
+            floor = int(np.searchsorted(ranking.distances, lowest))
             corners = ranked_corners(region, ranking.order, reaching, floor)
             memory = Memory(corners, moves, region.shape)
             needs = largest_values(corners, region, transforms, above=floor, memory=memory)
             if floor == 0 or np.count_nonzero(needs > floor) > allowed:
                 break
-            floor //= 2
+            lowest *= _LOWER if floor > _SMALL else 0.0
         # The curve shall go on for a while beyond the margin.
         beyond = np.count_nonzero(needs > len(ranking.order))
         enough = beyond <= allowed // 3 or len(ranking.order) == np.count_nonzero(region.solid == 0)

@@ -85,10 +85,9 @@ def smallest_distances(
     widest = widest_deviation(region, moments)
     if not widest > 0:
         raise InputError("model: expected an error that moves something, got a covariance of 0")
-    surface = np.empty(tuple(n + 1 for n in region.shape), np.uint8)
-    _kernels.surface_corners(region.solid, surface)
-    above, below = np.empty(surface.shape, np.int16), np.empty(surface.shape, np.int16)
-    _kernels.next_along_lines(surface, above, below)
+    lattice = tuple(n + 1 for n in region.shape)
+    above, below = np.empty(lattice, np.int16), np.empty(lattice, np.int16)
+    _kernels.surface_along_lines(region.solid, above, below)
     in_voxels, largest, least = _in_voxels(region, moments)
     columns, lengths = _columns(cut * np.sqrt(largest + least))
     out = np.empty(len(voxels))

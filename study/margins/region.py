@@ -9,11 +9,14 @@ from itertools import product
 import numpy as np
 
 from study.errors import InputError
+from study.margins.distances import _kernels as distances
 from study.margins.motion import _kernels as motion
 from study.volumes import LabelVolume
 
-# Edge, in voxels, of the blocks for which offsets and deviations are bounded.
-_BLOCK = 48
+# Edges, in voxels, of the blocks for which offsets and deviations are bounded: offsets are found by looking at
+# every registration.
+_OFFSET_BLOCK = 64
+_DEVIATION_BLOCK = 32
 #: Structures of fewer voxels are specks of a segmentation, not anatomy.
 LEAST_VOXELS = 10
 
@@ -95,9 +98,10 @@ class Region:
         Every corner that one does carry there, and some more.
         """
         out = np.zeros(tuple(n + 1 for n in self.shape), np.uint8)
-        low, high = self._of_blocks(out.shape), self._of_blocks(out.shape)
-        motion.offsets_of_blocks(self.moves(transforms), np.array(out.shape), _BLOCK, low, high)
-        motion.reaching(self.solid, _BLOCK, low, high, out)
+        blocks = int(np.prod([-(-n // _OFFSET_BLOCK) for n in out.shape]))
+        low, high = np.empty((blocks, 3), np.int64), np.empty((blocks, 3), np.int64)
+        motion.offsets_of_blocks(self.moves(transforms), np.array(out.shape), _OFFSET_BLOCK, low, high)
+        motion.reaching(self.solid, _OFFSET_BLOCK, low, high, out)
         return out
 
     def near(self, deviations: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
@@ -113,20 +117,18 @@ class Region:
         (n, 3) int array
             All voxels with their centre as near to a corner of the structure's surface, and some more.
         """
-        blocks = np.argwhere(np.ones([-(-n // _BLOCK) for n in self.shape], bool)) * _BLOCK
-        ends = np.minimum(blocks + _BLOCK, self.shape) - 1
+        blocks = (
+            np.argwhere(np.ones([-(-n // _DEVIATION_BLOCK) for n in self.shape], bool)) * _DEVIATION_BLOCK
+        )
+        ends = np.minimum(blocks + _DEVIATION_BLOCK, self.shape) - 1
         reach = np.zeros(len(blocks))
         for pick in product((False, True), repeat=3):
             points = np.where(pick, ends, blocks) @ self.affine[:3, :3].T + self.affine[:3, 3]
             reach = np.maximum(reach, deviations(points))
         width = np.ceil(reach[:, None] * steps_per_mm(self.affine)).astype(np.int64) + 1
         out = np.zeros(self.shape, np.uint8)
-        motion.reaching(self.solid, _BLOCK, -width, width, out)
-        return np.argwhere(out > self.solid)
-
-    @staticmethod
-    def _of_blocks(shape: tuple[int, int, int]) -> np.ndarray:
-        return np.empty((int(np.prod([-(-n // _BLOCK) for n in shape])), 3), np.int64)
+        motion.reaching(self.solid, _DEVIATION_BLOCK, -width, width, out)
+        return distances.listed(out, self.solid)
 
 
 def steps_per_mm(affine: np.ndarray) -> np.ndarray:

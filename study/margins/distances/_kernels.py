@@ -79,55 +79,66 @@ def _widen_line(line, n, r, far):
 
 
 @kernel
-def surface_corners(solid, out):
-    """Set `out` at lattice corners that touch voxels inside and outside of `solid`.
+def surface_along_lines(solid, above, below):
+    """For every lattice corner the nearest surface corner on its line along the last axis, itself included.
 
-    Voxels beyond the array do not exist: they are neither.
+    Surface corners touch voxels inside and outside of `solid`. Voxels beyond the array do not exist: they are
+    neither.
 
     Parameters
     ----------
     solid : (nx, ny, nz) uint8 array
-    out : (nx + 1, ny + 1, nz + 1) uint8 array
+    above, below : (nx + 1, ny + 1, nz + 1) int16 arrays
+        Receive the index at or above and at or below; `NO_CORNER` and ``-NO_CORNER`` where there is none.
     """
     nx, ny, nz = solid.shape
     for a in range(nx + 1):
         for b in range(ny + 1):
+            x0, x1, y0, y1 = max(a - 1, 0), min(a + 1, nx), max(b - 1, 0), min(b + 1, ny)
+            there = (x1 - x0) * (y1 - y0)
+            inside_before = 0
+            there_before = 0
+            last = -NO_CORNER
             for c in range(nz + 1):
-                inside = False
-                outside = False
-                for i in range(max(a - 1, 0), min(a + 1, nx)):
-                    for j in range(max(b - 1, 0), min(b + 1, ny)):
-                        for k in range(max(c - 1, 0), min(c + 1, nz)):
-                            if solid[i, j, k]:
-                                inside = True
-                            else:
-                                outside = True
-                out[a, b, c] = 1 if inside and outside else 0
+                inside = 0
+                there_now = 0
+                if c < nz:
+                    there_now = there
+                    for x in range(x0, x1):
+                        for y in range(y0, y1):
+                            inside += solid[x, y, c]
+                if 0 < inside + inside_before < there_now + there_before:
+                    last = c
+                below[a, b, c] = last
+                inside_before = inside
+                there_before = there_now
+            last = NO_CORNER
+            for c in range(nz, -1, -1):
+                if below[a, b, c] == c:
+                    last = c
+                above[a, b, c] = last
 
 
 @kernel
-def next_along_lines(surface, above, below):
-    """For every corner the nearest surface corner on its line along the last axis, itself included.
-
-    Parameters
-    ----------
-    surface : (nx + 1, ny + 1, nz + 1) uint8 array
-    above, below : int16 arrays of that shape
-        Receive the index at or above and at or below; `NO_CORNER` and ``-NO_CORNER`` where there is none.
-    """
-    nx, ny, nz = surface.shape
-    for a in range(nx):
-        for b in range(ny):
-            last = -NO_CORNER
-            for c in range(nz):
-                if surface[a, b, c]:
-                    last = c
-                below[a, b, c] = last
-            last = NO_CORNER
-            for c in range(nz - 1, -1, -1):
-                if surface[a, b, c]:
-                    last = c
-                above[a, b, c] = last
+def listed(marks, solid):
+    """(n, 3) indices, in the order of memory, of voxels that are set in `marks` and not in `solid`."""
+    count = 0
+    for i in range(marks.shape[0]):
+        for j in range(marks.shape[1]):
+            for k in range(marks.shape[2]):
+                if marks[i, j, k] > solid[i, j, k]:
+                    count += 1
+    out = np.empty((count, 3), np.int64)
+    count = 0
+    for i in range(marks.shape[0]):
+        for j in range(marks.shape[1]):
+            for k in range(marks.shape[2]):
+                if marks[i, j, k] > solid[i, j, k]:
+                    out[count, 0] = i
+                    out[count, 1] = j
+                    out[count, 2] = k
+                    count += 1
+    return out
 
 
 @threaded
@@ -145,7 +156,7 @@ def smallest_distances(voxels, above, below, moments, least, columns, lengths, c
     voxels : (n, 3) int array
         Indices in the lattice's box; fastest when neighbours along the last axis follow each other.
     above, below : int16 arrays
-        See `next_along_lines`.
+        See `surface_along_lines`.
     moments : (3, 4, 3, 4) float array
         Covariance of the displacement ``[G, u] (i, j, k, 1)`` at a voxel, in voxels.
     least : float
