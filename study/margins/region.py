@@ -13,8 +13,8 @@ from study.margins.distances import _kernels as distances
 from study.margins.motion import _kernels as motion
 from study.volumes import LabelVolume
 
-# Edges, in voxels, of the blocks for which offsets and deviations are bounded: offsets are found by looking at
-# every registration.
+# Edges, in voxels, of the blocks for which offsets and deviations are bounded; offsets by looking at every
+# registration.
 _OFFSET_BLOCK = 64
 _DEVIATION_BLOCK = 32
 #: Structures of fewer voxels are specks of a segmentation, not anatomy.
@@ -117,17 +117,16 @@ class Region:
         (n, 3) int array
             All voxels with their centre as near to a corner of the structure's surface, and some more.
         """
-        blocks = (
-            np.argwhere(np.ones([-(-n // _DEVIATION_BLOCK) for n in self.shape], bool)) * _DEVIATION_BLOCK
-        )
-        ends = np.minimum(blocks + _DEVIATION_BLOCK, self.shape) - 1
+        size = _DEVIATION_BLOCK
+        blocks = np.argwhere(np.ones([-(-n // size) for n in self.shape], bool)) * size
+        ends = np.minimum(blocks + size, self.shape) - 1
         reach = np.zeros(len(blocks))
         for pick in product((False, True), repeat=3):
             points = np.where(pick, ends, blocks) @ self.affine[:3, :3].T + self.affine[:3, 3]
             reach = np.maximum(reach, deviations(points))
         width = np.ceil(reach[:, None] * steps_per_mm(self.affine)).astype(np.int64) + 1
         out = np.zeros(self.shape, np.uint8)
-        motion.reaching(self.solid, _DEVIATION_BLOCK, -width, width, out)
+        motion.reaching(self.solid, size, -width, width, out)
         return distances.listed(out, self.solid)
 
 
