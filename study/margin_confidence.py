@@ -6,17 +6,26 @@ again and again with other registrations, and every one is put before the same l
 
 from __future__ import annotations
 
+import hashlib
+import os
 from collections.abc import Mapping, Sequence
-from functools import partial
 from types import MappingProxyType
 
+import numpy as np
 import pandas as pd
 from scipy import stats
+from tqdm.auto import tqdm
 
-from study.appendix import over_specimens
 from study.cases import load_case
 from study.errors import InputError
-from study.margins import ACCEPTABLE_RISKS, GrowthSettings, RiskEstimate, allowed_hits, grow_margin
+from study.margins import (
+    ACCEPTABLE_RISKS,
+    GrowthSettings,
+    RiskEstimate,
+    SafetyMargin,
+    allowed_hits,
+    grow_margin,
+)
 from study.registration import PointRegistration
 from study.specimens import structure_mask
 
@@ -32,30 +41,12 @@ RULES: Mapping[str, tuple[str, float | None]] = MappingProxyType(
 _GROWING, _JUDGING = 0, 1
 
 
-def _run(job: tuple[str, str, int], bone: str, registrations: int, judged_on: int, seed: int) -> dict:
-    structure, rule, run = job
-    case = load_case(bone)
-    if case.anatomy is None or case.fiducials is None:
-        raise InputError(f"{case.name}: expected a bone with labelled anatomy and fiducials")
-    method, confidence = RULES[rule]
-    margin = grow_margin(
-        case.anatomy,
-        structure_mask(case.anatomy, structure),
-        PointRegistration(case.fiducials),
-        settings=GrowthSettings(method, registrations, confidence, validation_registrations=0),
-        rng=[seed, _GROWING, run],
-        name=structure,
-    )
-    truth = margin.risk_on(judged_on, [seed, _JUDGING])
+def _row(margin: SafetyMargin, truth: RiskEstimate) -> dict[str, object]:
     low, high = truth.interval
     tolerance = margin.acceptable_risk
     return {
-        "specimen": case.name,
-        "structure": structure,
-        "rule": rule,
-        "run": run,
         "tolerance": tolerance,
-        "registrations": registrations,
+        "registrations": margin.settings.registrations,
         "volume_mm3": margin.volume_mm3,
         "stopped_at_risk": margin.damage_risk,
         "true_risk": truth.risk,
@@ -78,10 +69,10 @@ def run_rules(
     structures: Sequence[str] = ("facial_nerve", "internal_auditory_canal"),
     rules: Sequence[str] = tuple(RULES),
     runs: int = 20,
+    published_runs: int = 0,
     registrations: int = 25_000,
     judged_on: int = 1_000_000,
     seed: int = 0,
-    workers: int = 0,
 ) -> pd.DataFrame:
     """Grow margins repeatedly by each rule and measure the true risk of each.
 
@@ -95,13 +86,14 @@ def run_rules(
         Of `RULES`.
     runs : int
         Margins of each structure and rule; run k draws the same registrations for all exact rules.
+    published_runs : int
+        Of the published rule, which takes a hundred times as long; 0 for as many as of the others.
     registrations : int
         N_r.
     judged_on : int
-        Fresh registrations that stand for the truth, the same for all margins.
+        Fresh registrations that stand for the truth, the same for all margins. Growths that end with the
+        same margin are judged once.
     seed : int
-    workers : int
-        Processes; 0 takes two.
 
     Returns
     -------
@@ -119,17 +111,39 @@ def run_rules(
     """
     unknown = [name for name in rules if name not in RULES]
     unknown += [name for name in structures if name not in ACCEPTABLE_RISKS]
-    jobs = [(s, rule, k) for s in structures for rule in rules for k in range(runs)]
+    often = {
+        rule: published_runs or runs if RULES.get(rule, ("",))[0] == "published" else runs for rule in rules
+    }
+    jobs = [(s, rule, k) for s in structures for rule in rules for k in range(often[rule])]
     if unknown or not jobs:
         raise InputError(
             f"rules, structures, runs: expected some of {list(RULES)} and {list(ACCEPTABLE_RISKS)}, at least "
             f"one run; got {list(rules)}, {list(structures)}, {runs}"
         )
-    one = partial(_run, bone=bone, registrations=registrations, judged_on=judged_on, seed=seed)
-    # longest first, so that no worker is left with a long one at the end
-    order = sorted(range(len(jobs)), key=lambda k: RULES[jobs[k][1]][0] != "published")
-    found = over_specimens(one, [jobs[k] for k in order], workers)
-    return pd.DataFrame([row for _, row in sorted(zip(order, found, strict=True), key=lambda pair: pair[0])])
+    case = load_case(bone)
+    if case.anatomy is None or case.fiducials is None:
+        raise InputError(f"{case.name}: expected a bone with labelled anatomy and fiducials")
+    model = PointRegistration(case.fiducials)
+    masks = {structure: structure_mask(case.anatomy, structure) for structure in structures}
+    judged: dict[tuple[str, bytes], RiskEstimate] = {}
+    rows = []
+    silent = bool(os.environ.get("STUDY_BATCH"))
+    for structure, rule, run in tqdm(jobs, desc="margins", leave=False, disable=silent):
+        settings = GrowthSettings(RULES[rule][0], registrations, RULES[rule][1], validation_registrations=0)
+        margin = grow_margin(
+            case.anatomy,
+            masks[structure],
+            model,
+            settings=settings,
+            rng=[seed, _GROWING, run],
+            name=structure,
+        )
+        same = structure, hashlib.sha256(np.packbits(margin.mask).tobytes()).digest()
+        if same not in judged:
+            judged[same] = margin.risk_on(judged_on, [seed, _JUDGING])
+        which = {"specimen": case.name, "structure": structure, "rule": rule, "run": run}
+        rows.append({**which, **_row(margin, judged[same])})
+    return pd.DataFrame(rows)
 
 
 def rules_table(rows: pd.DataFrame) -> pd.DataFrame:

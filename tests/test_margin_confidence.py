@@ -9,7 +9,7 @@ from study.errors import InputError
 from study.margin_confidence import RULES, expected_share, rules_table, run_rules
 from study.margins import RiskEstimate
 
-FEW = {"runs": 2, "registrations": 600, "judged_on": 3000, "workers": 1}
+FEW = {"runs": 2, "registrations": 600, "judged_on": 3000}
 
 
 @pytest.fixture(scope="module")
@@ -37,6 +37,13 @@ def test_a_rule_has_the_same_runs_whichever_others_are_asked_for(rows):
     alone = run_rules("TB14", ("chorda_tympani",), (rule,), **FEW)
     same = rows[rows["rule"] == rule].reset_index(drop=True)
     pd.testing.assert_frame_equal(alone.drop(columns="growth_s"), same.drop(columns="growth_s"))
+
+
+def test_the_slow_rule_may_have_fewer_runs(rows):
+    fewer = run_rules("TB14", ("chorda_tympani",), **{**FEW, "published_runs": 1})
+    assert fewer.groupby("rule").size().to_dict() == {rule: 1 if rule == "published" else 2 for rule in RULES}
+    same = rows.drop(index=1).reset_index(drop=True)  # the published rule's second run
+    pd.testing.assert_frame_equal(fewer.drop(columns="growth_s"), same.drop(columns="growth_s"))
 
 
 def test_shares_are_counted_with_their_intervals():
