@@ -48,7 +48,7 @@ def target_and_spared(case: Case, entries: Sequence[MarginedPlan]) -> Figure:
         scene.label(entry.planning, "target", opacity=0.25)
         volume = spared.sum() * entry.drawn.voxel_volume
         scenes.append(scene)
-        titles.append(f"{entry.name}: {volume:.0f} mm³ spared")
+        titles.append(f"{entry.name}, {volume:.0f} mm³ spared")
     # one scale for all, set by the target and what is near it
     placed = Scene(view).label(entries[0].drawn, "target").placed_view(4 / 3)
     for scene in scenes:
