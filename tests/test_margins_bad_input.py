@@ -72,6 +72,14 @@ def test_settings_that_cannot_be(name, value):
 def test_least_registrations_of_nothing(risk, confidence):
     with pytest.raises(InputError, match="between 0 and 1"):
         least_registrations(risk, confidence)
+    with pytest.raises(InputError, match="between 0 and 1"):
+        allowed_hits(5000, risk, confidence)
+
+
+def test_allowed_hits_of_no_registrations():
+    for confidence in (None, 0.95):
+        with pytest.raises(InputError, match="registrations: expected at least 1, got 0"):
+            allowed_hits(0, 0.01, confidence)
 
 
 def test_structures_that_are_not_there():

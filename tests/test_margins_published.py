@@ -6,7 +6,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from margin_cases import CASES, Shifts, around, corner_hits, touched, tube, volume_of
+from margin_cases import CASES, Shifts, around, corner_hits, damaging_by_hand, touched, tube, volume_of
 from scipy import integrate, ndimage, special, stats
 
 from study.errors import InputError, MarginError
@@ -252,3 +252,15 @@ def test_risk_under_another_error():
     assert margin.risk_on(2000, 1) == margin.risk_on(2000, np.random.default_rng(1))
     with pytest.raises(InputError, match="registrations"):
         margin.risk_on(0)
+
+
+def test_risk_on_sees_all_tissue_that_may_be_milled():
+    """Also what jumps right over margin and structure, of which the analyzed shell knows nothing."""
+    volume, _ = CASES["tube"]
+    settings = GrowthSettings(registrations=500, validation_registrations=0)
+    margin = grow_margin(volume, "nerve", around(volume, 0.1), 0.05, settings=settings, rng=0)
+    for shift in (1.0, 2.0, 3.0):
+        other = Shifts((0, 0, shift), 0.1)
+        hits = corner_hits(volume, margin.structure_mask, other.sample(100, 1))
+        by_hand = damaging_by_hand(margin.structure_mask, margin.mask, hits)
+        assert margin.risk_on(100, 1, other).hits == by_hand.sum() == 100

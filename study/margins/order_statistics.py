@@ -28,7 +28,8 @@ def allowed_hits(registrations: int, acceptable_risk: float, confidence: float |
     """How many of the registrations that a margin is chosen on may still do damage.
 
     When m of N registrations need a larger margin than the chosen one, which is what the next one needs, the
-    true risk has the distribution Beta(m + 1, N - m), whatever the structure and the error.
+    true risk has the distribution Beta(m + 1, N - m), whatever the structure and the error. Where several
+    registrations need the very same margin it is smaller still.
 
     Parameters
     ----------
@@ -46,8 +47,12 @@ def allowed_hits(registrations: int, acceptable_risk: float, confidence: float |
     Raises
     ------
     InputError
-        If N is too small for the confidence; the message names the least N.
+        If N is too small for the confidence; the message names the least N. If a share is not between 0 and
+        1.
     """
+    checked_share("acceptable_risk", acceptable_risk)
+    if registrations < 1:
+        raise InputError(f"registrations: expected at least 1, got {registrations}")
     if confidence is None:
         return min(math.floor(registrations * acceptable_risk * (1 + 1e-12)), registrations - 1)
     least = least_registrations(acceptable_risk, confidence)
