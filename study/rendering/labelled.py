@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -45,17 +46,17 @@ def labelled_anatomy(volume: LabelVolume, planning: LabelVolume, approach: np.nd
     outside = Scene(approach_view(approach, oblique=True))
     inside = Scene(approach_view(approach).turned(38 * posterior_on_right(approach), 24))
     target = planning.mask("target")
-    kept = [name for name in _structures(volume) if structure_of(name) != "temporomandibular_joint"]
     for name in (n for n in volume.names if structure_of(n) == "bone"):
         outside.mask(volume.mask(name) & ~target, volume.affine, name)
-    outside.label(volume, *_structures(volume))
-    outside.mask(target, planning.affine, "target", opacity=1.0)
     solid: dict[str, list[np.ndarray]] = {}
-    for name in kept:
-        mask = volume.mask(name)
-        inside.mask(mask, volume.affine, name, opacity=0.35 if structure_of(name) in WIDE else 1.0)
-        solid.setdefault(structure_of(name), []).append(volume.points(np.argwhere(mask)))
-    inside.mask(target, planning.affine, "target", opacity=0.2)
+    for name in _structures(volume):
+        mask, kind = volume.mask(name), structure_of(name)
+        outside.mask(mask, volume.affine, name)
+        if kind != "temporomandibular_joint":
+            inside.items.append(replace(outside.items[-1], opacity=0.35 if kind in WIDE else 1.0))
+            solid.setdefault(kind, []).append(volume.points(np.argwhere(mask)))
+    outside.mask(target, planning.affine, "target", opacity=1.0)
+    inside.items.append(replace(outside.items[-1], opacity=0.2))
     board = Board(13, 5.35)
     width, height = 5.2, 4.6
     for scene in (outside, inside):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import matplotlib as mpl
 import numpy as np
@@ -271,12 +272,12 @@ def margins_in_space(
     for margin in margins:
         body = structure_mask(volume, margin.structure)
         wide = any(structure_of(label) in WIDE for label in labels_of(volume, margin.structure))
-        for scene in (whole, close):
-            scene.mask(body, volume.affine, margin.structure, opacity=0.35 if wide else 1.0)
+        whole.mask(body, volume.affine, margin.structure, opacity=0.35 if wide else 1.0)
+        close.items.append(whole.items[-1])
         around = margin.mask | margin.structure_mask
         close.mask(around, margin.volume.affine, "margin", opacity=0.2 if wide else 0.4, smooth=60)
     whole.mask(target, planning.affine, "target", opacity=0.4)
-    close.mask(target, planning.affine, "target", opacity=0.13)
+    close.items.append(replace(whole.items[-1], opacity=0.13))
     for name in (n for n in volume.names if structure_of(n) == "bone"):
         whole.mask(volume.mask(name) & ~target, volume.affine, name, opacity=0.25)
     for scene in (whole, close):
