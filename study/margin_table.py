@@ -53,7 +53,8 @@ class MarginTable:
     Attributes
     ----------
     rows : DataFrame
-        See `margin_row`; ``specimen, structure, variant, voxel_size_mm`` say which margin.
+        See `margin_row`; ``specimen, structure, variant, voxel_size_mm`` say which margin;
+        ``first_layer_mm3`` and ``sv_over_ut_at_equal_risk`` belong to both shapes (see the functions).
     skipped : DataFrame
         ``specimen, structure, reason``: structures that got no margin at any voxel size.
     curves : dict
@@ -125,16 +126,13 @@ def margin_row(margin: SafetyMargin) -> dict[str, object]:
     dict
         The printed quantities (`QUANTITIES`); ``validated_risk`` on registrations not used before;
         ``mean_point_risk`` of the final shell; ``risk_one_voxel_less``, what the in-sample risk would be
-        without the last voxel (exact method, else NaN); ``structure_mm3``; ``first_layer_mm3``, the voxels
-        that touch the structure, which every margin needs: their corners lie on it; ``edge_share`` of
-        the structure's surface; ``time_s``, validation included.
+        without the last voxel (exact method, else NaN); ``structure_mm3``; ``edge_share`` of the
+        structure's surface; ``time_s``, validation included.
     """
     values = margin.summary()
     curve = margin.curve()
     before = curve.loc[curve["margin_voxels"] < margin.voxels, "risk"]
     exact = margin.settings.method == "exact" and len(before)
-    solid, voxel = margin.structure_mask, margin.volume.voxel_volume
-    layer = shell_of(Region.around(solid, margin.volume, 0.0).solid)
     return {
         **{name: values[name] for name in QUANTITIES},
         "acceptable_risk": margin.acceptable_risk,
@@ -143,11 +141,15 @@ def margin_row(margin: SafetyMargin) -> dict[str, object]:
         "validated_low": values.get("validation_low", np.nan),
         "mean_point_risk": float(margin.shell_point_risks.mean()),
         "risk_one_voxel_less": float(before.iloc[-1]) if exact else np.nan,
-        "structure_mm3": np.count_nonzero(solid) * voxel,
-        "first_layer_mm3": np.count_nonzero(layer) * voxel,
+        "structure_mm3": np.count_nonzero(margin.structure_mask) * margin.volume.voxel_volume,
         "edge_share": margin.edge_share,
         "time_s": margin.time_s,
     }
+
+
+def first_layer_mm3(mask: np.ndarray, volume: LabelVolume) -> float:
+    """mm^3 of the voxels that touch a structure; a margin needs them all, for their corners lie on it."""
+    return np.count_nonzero(shell_of(Region.around(mask, volume, 0.0).solid)) * volume.voxel_volume
 
 
 def volumes_at_risks(curve: pd.DataFrame, risks: np.ndarray) -> np.ndarray:
@@ -202,8 +204,9 @@ def _margins_of(
             if settings.method == "exact":
                 pair = [curves[structure, variant, size] for variant in VARIANTS]
                 ratio = equal_risk_ratio(*pair, ACCEPTABLE_RISKS[structure])
+            layer = first_layer_mm3(mask, volume)
             for row in rows[-len(VARIANTS) :]:
-                row["sv_over_ut_at_equal_risk"] = ratio
+                row |= {"first_layer_mm3": layer, "sv_over_ut_at_equal_risk": ratio}
     return rows, skipped, curves
 
 
