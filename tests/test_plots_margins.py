@@ -5,8 +5,10 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
+from study.cases import Case
 from study.errors import InputError
-from study.margins import GrowthSettings, grow_margin, reduced_target
+from study.margin_survey import grow_margins, survey_table
+from study.margins import ACCEPTABLE_RISKS, GrowthSettings, grow_margin, reduced_target
 from study.margins.illustration import (
     analyzed_shell,
     growth_step,
@@ -160,6 +162,27 @@ def test_nearest_points_are_nearest_in_their_own_sense(margins):
     voxel = np.rint(margins[0].volume.indices(nearest.voxel[None])[0]).astype(int)
     row = np.flatnonzero((margins[0].final_shell == voxel).all(axis=1))
     assert margins[0].shell_point_risks[row] == pytest.approx(point_damage_risk(smallest), rel=1e-6)
+
+
+def test_survey_states_what_it_skips_and_why(block, model):
+    anatomy, planning = block
+    labels = anatomy.labels.copy()
+    labels[10:12, 4:6, 4] = 4
+    anatomy = anatomy.with_labels(labels, {**NAMES, "chorda_tympani": 4})
+    case = Case("block", planning, anatomy, APPROACH, model.fiducials)
+    settings = GrowthSettings(registrations=4000, validation_registrations=500)
+    grown, skipped = grow_margins(case, anatomy, model, settings, seed=4)
+    assert [margin.structure for margin in grown] == ["facial_nerve", "sigmoid_sinus"]
+    assert "at least 10 voxels, got 4" in skipped["chorda_tympani"]
+    assert "expected a label" in skipped["internal_auditory_canal"]
+    table = survey_table(grown, skipped)
+    assert set(table.index) == set(ACCEPTABLE_RISKS)
+    row = table.loc["facial_nerve"]
+    assert row["margin_mm3"] == pytest.approx(row["margin_voxels"] * 0.027)
+    assert row["in_sample_risk"] <= row["acceptable_risk"]
+    assert row["validated_low"] <= row["validated_risk"] <= row["validated_high"]
+    assert table.loc["sigmoid_sinus", "edge_share"] > 0  # it ends at the edge of the volume
+    assert np.isnan(table.loc["chorda_tympani", "margin_mm3"])
 
 
 # Planes and places
