@@ -194,11 +194,13 @@ def largest_values(
     if len(corners.values) == 0:
         return out
     memory = memory or Memory(corners, moves, region.shape)
+    extent = region.extent
 
     def part(piece: slice) -> None:
         _kernels.sweep(
             moves[piece],
             region.solid,
+            extent,
             corners.corners,
             corners.values,
             corners.leaf_start,

@@ -25,6 +25,8 @@ _NARROW = 1e-3
 _BLIND = 1e-2
 # Else only by what keeps rounding from making a variance negative.
 _LEAST = 1e-12
+# Lines from which on it is asked whether there are fewer surface corners than lines.
+_MANY_COLUMNS = 300
 
 
 def euclidean() -> DisplacementMoments:
@@ -90,37 +92,43 @@ def smallest_distances(
     _kernels.surface_along_lines(region.solid, above, below)
     in_voxels, largest, least = _in_voxels(region, moments)
     columns, lengths = _columns(cut * np.sqrt(largest + least))
+    corners = np.empty((0, 3), np.int64)
+    if len(columns) > _MANY_COLUMNS:
+        every = np.argwhere(below == np.arange(lattice[2]))
+        corners = every if len(every) < len(columns) else corners
     out = np.empty(len(voxels))
 
     def part(piece: slice) -> None:
         _kernels.smallest_distances(
-            voxels[piece], above, below, in_voxels, least, columns, lengths, cut, out[piece]
+            voxels[piece], above, below, in_voxels, least, columns, lengths, corners, cut, out[piece]
         )
 
     in_threads(part, len(voxels), least=5000)
     return out
 
 
-def _is_blind(region: Region, moments: DisplacementMoments) -> bool:
-    """Whether there is a direction in which the error hardly scatters, somewhere in the region."""
-    grid = np.array(list(product(*((0, n / 2, n) for n in region.shape))))
-    variances = np.linalg.eigvalsh(moments.at(region.corner_points(grid)))
-    return bool(variances[:, 0].min() < _NARROW * variances[:, -1].max())
-
-
 def _in_voxels(region: Region, moments: DisplacementMoments) -> tuple[np.ndarray, float, float]:
     """Covariance of ``[G, u]`` for places and displacements in voxels of the region's box, (3, 4, 3, 4).
 
-    With it the largest variance in the box, and what is added to variances along the axes, in voxels.
+    With it the largest variance in the box, and what is added to variances along the axes, in voxels. The
+    latter depends on the structure alone, not on how much of its surroundings the box holds.
     """
     covariance = moments.about(region.affine[:3, 3]).covariance.reshape(3, 4, 3, 4)
     places = np.eye(4)
     places[:3, :3] = region.affine[:3, :3]
     steps = np.linalg.inv(region.affine[:3, :3])
     found = np.einsum("ra,ajbk,ju,kv,cb->rucv", steps, covariance, places, places, steps, optimize=True)
-    corners = np.array(list(product(*((-0.5, n - 0.5) for n in region.shape), (1.0,))))
-    largest = np.linalg.eigvalsh(np.einsum("mj,ajbk,mk->mab", corners, found, corners))[:, -1].max()
-    least = largest * (_BLIND if _is_blind(region, moments) else _LEAST)
+
+    def variances(low: np.ndarray, high: np.ndarray) -> np.ndarray:
+        corners = np.array(
+            list(product(*zip(low - 0.5, (low + high - 1) / 2, high - 0.5, strict=True), (1.0,)))
+        )
+        return np.linalg.eigvalsh(np.einsum("mj,ajbk,mk->mab", corners, found, corners))
+
+    largest = variances(np.zeros(3), np.array(region.shape))[:, -1].max()
+    here = variances(region.extent[:, 0], region.extent[:, 1] + 1)
+    blind = here[:, 0].min() < _NARROW * here[:, -1].max()
+    least = here[:, -1].max() * (_BLIND if blind else _LEAST)
     return np.ascontiguousarray(found), float(largest), float(least)
 
 

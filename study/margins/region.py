@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import product
 
 import numpy as np
@@ -64,6 +65,12 @@ class Region:
     def voxel_volume(self) -> float:
         """mm^3."""
         return float(abs(np.linalg.det(self.affine[:3, :3])))
+
+    @cached_property
+    def extent(self) -> np.ndarray:
+        """(3, 2) first and last voxel of the structure along each axis."""
+        low, high = bounding_box(self.solid)
+        return np.column_stack([low, high - 1])
 
     @property
     def box(self) -> tuple[slice, slice, slice]:

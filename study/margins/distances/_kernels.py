@@ -142,7 +142,7 @@ def listed(marks, solid):
 
 
 @threaded
-def smallest_distances(voxels, above, below, moments, least, columns, lengths, cut, out):
+def smallest_distances(voxels, above, below, moments, least, columns, lengths, corners, cut, out):
     """Smallest Mahalanobis distance from voxel centres to surface corners.
 
     The covariance at a voxel's own centre is its metric. Lines of corners along the last axis are
@@ -165,6 +165,8 @@ def smallest_distances(voxels, above, below, moments, least, columns, lengths, c
         From a voxel to a line of corners, by increasing length.
     lengths : (m,) float array
         Squared voxels from the voxel's centre to that line.
+    corners : (c, 3) int array
+        All surface corners, to be gone through one by one instead; none for the lines.
     cut : float
         Distances of this and more do not matter.
     out : (n,) float array
@@ -203,7 +205,11 @@ def smallest_distances(voxels, above, below, moments, least, columns, lengths, c
         sharp = 1.0 / (zz - gx * xz - gy * yz)
         widest = (0.5 * (xx + yy) + sqrt(0.25 * (xx - yy) ** 2 + xy * xy)) * (1 + 1e-9)
         best = cut * cut
-        for m in range(columns.shape[0]):
+        for m in range(corners.shape[0]):
+            s, t = corners[m, 0] - i - 0.5, corners[m, 1] - j - 0.5
+            u = corners[m, 2] - k - 0.5 - gx * s - gy * t
+            best = min(best, ixx * s * s + 2 * ixy * s * t + iyy * t * t + sharp * u * u)
+        for m in range(columns.shape[0] if corners.shape[0] == 0 else 0):
             if lengths[m] >= best * widest:
                 break
             a, b = i + columns[m, 0], j + columns[m, 1]

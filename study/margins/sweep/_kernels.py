@@ -177,8 +177,11 @@ def _sort_decreasing(keys, n):
 
 
 @inlined
-def _bounds(move, low, high, n, span):
-    """Write into `span` the least and largest offset of a block along each axis; their number returned."""
+def _bounds(move, low, high, n, extent, span):
+    """Write into `span` the least and largest offset of a block along each axis; their number returned.
+
+    0 if with none of them the block comes near the structure.
+    """
     count = 1
     for r in range(3):
         middle = move[r, 3]
@@ -189,6 +192,8 @@ def _bounds(move, low, high, n, span):
         span[r, 0] = int(floor(middle - half))
         span[r, 1] = int(floor(middle + half))
         count *= span[r, 1] - span[r, 0] + 1
+        if high[n, r] + span[r, 1] < extent[r, 0] or low[n, r] + span[r, 0] > extent[r, 1]:
+            return 0
     return count
 
 
@@ -280,6 +285,7 @@ def _corner_by_corner(solid, corners, values, first, last, move, best):
 def sweep(
     moves,
     solid,
+    extent,
     corners,
     values,
     leaf_start,
@@ -305,6 +311,8 @@ def sweep(
         ``[D, t]``: a corner's displacement in voxels.
     solid : (nx, ny, nz) uint8 array
         The structure.
+    extent : (3, 2) int array
+        Its first and last voxel along each axis.
     corners, values, leaf_start, leaf_low, leaf_high, group_start
         See `arrange`.
     group_low, group_high, group_most : (groups, 3), (groups, 3), (groups,) arrays
@@ -333,7 +341,9 @@ def sweep(
         for g in range(groups):
             if group_most[g] <= best:
                 continue
-            count = _bounds(move, group_low, group_high, g, span)
+            count = _bounds(move, group_low, group_high, g, extent, span)
+            if count == 0:
+                continue
             inside = use and count <= MOST_OFFSETS
             if inside:
                 for r in range(3):
@@ -373,7 +383,9 @@ def sweep(
                 for leaf in range(group_start[g], group_start[g + 1]):
                     if values[leaf_start[leaf]] <= best:
                         continue
-                    count = _bounds(move, leaf_low, leaf_high, leaf, span)
+                    count = _bounds(move, leaf_low, leaf_high, leaf, extent, span)
+                    if count == 0:
+                        continue
                     if count <= MOST_OFFSETS and (use or count == 1):
                         most = _leaf_bound(solid, corners, values, leaf_start, memo, table, use, leaf, span)
                         if most <= best:
