@@ -36,7 +36,8 @@ def grow_margin(
     ----------
     volume : LabelVolume
     structure : str, sequence of str or (nx, ny, nz) bool array
-        One label, several that are one structure together, or a mask.
+        One label, several that are one structure together, or a mask. A part with a label of its own, such
+        as a nerve inside a canal, is tissue that may be milled unless its label is given too.
     model : ErrorSource
         What moves the patient against the plan, such as `study.registration.PointRegistration`.
     acceptable_risk : float, optional
@@ -47,7 +48,7 @@ def grow_margin(
     settings : GrowthSettings, optional
     rng : anything `numpy.random.default_rng` takes
     name : str, optional
-        What to call a structure given as mask or in several labels.
+        What to call the structure: the label by default. It decides what printed risk and decay apply.
 
     Returns
     -------

@@ -151,7 +151,8 @@ def bounding_box(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def reach_of(transforms: np.ndarray, mask: np.ndarray, volume: LabelVolume) -> float:
     """How far any of the transforms moves a point that it can bring into the structure, at most, mm.
 
-    A displacement is affine in the point, so that in a box it is largest at one of the box's corners.
+    A displacement is affine in the point, so that in a box it is largest at one of the box's corners. Points
+    from beyond the box cannot get in unless a transform turns by some 90 degrees, which no registration does.
     """
     first, last = bounding_box(mask)
     reach = 0.0
