@@ -127,8 +127,9 @@ class SafetyMargin:
     @cached_property
     def final_shell(self) -> np.ndarray:
         """(n, 3) voxels outside structure and margin that share a face with them (Siebold, 3.3.1)."""
-        union = self.structure_mask | self.mask
-        return np.argwhere(ndimage.binary_dilation(union) & ~union)
+        union = Region.around(self.structure_mask | self.mask, self.volume, 0.0)
+        inside = union.solid == 1
+        return np.argwhere(ndimage.binary_dilation(inside) & ~inside) + union.low
 
     @cached_property
     def shell_distances(self) -> np.ndarray:

@@ -12,12 +12,15 @@ import numpy as np
 from study.errors import InputError
 from study.margins.distances import _kernels as distances
 from study.margins.motion import _kernels as motion
+from study.threads import in_threads
 from study.volumes import LabelVolume
 
 # Edges, in voxels, of the blocks for which offsets and deviations are bounded; offsets by looking at every
 # registration.
 _OFFSET_BLOCK = 64
 _DEVIATION_BLOCK = 32
+# Up to so many offsets of a block it is worked out which occur; of more only the range along each axis.
+_MOST_OFFSETS = 4000
 #: Structures of fewer voxels are specks of a segmentation, not anatomy.
 LEAST_VOXELS = 10
 
@@ -107,8 +110,20 @@ class Region:
         out = np.zeros(tuple(n + 1 for n in self.shape), np.uint8)
         blocks = int(np.prod([-(-n // _OFFSET_BLOCK) for n in out.shape]))
         low, high = np.empty((blocks, 3), np.int64), np.empty((blocks, 3), np.int64)
-        motion.offsets_of_blocks(self.moves(transforms), np.array(out.shape), _OFFSET_BLOCK, low, high)
-        motion.reaching(self.solid, _OFFSET_BLOCK, low, high, out)
+        moves, lattice = self.moves(transforms), np.array(out.shape)
+        motion.offsets_of_blocks(moves, lattice, _OFFSET_BLOCK, low, high)
+        offsets = (high - low + 1).max(axis=0)
+        table = None if np.prod(offsets) > _MOST_OFFSETS else np.zeros((blocks, *offsets), np.uint8)
+
+        def part(piece: slice) -> None:
+            if table is None:
+                motion.reaching(self.solid, _OFFSET_BLOCK, piece.start, piece.stop, low, high, out)
+                return
+            which = (_OFFSET_BLOCK, piece.start, piece.stop)
+            motion.offsets_that_occur(moves, lattice, *which, low, high, table)
+            motion.reached(self.solid, *which, low, table, out)
+
+        in_threads(part, blocks, least=4)
         return out
 
     def near(self, deviations: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
@@ -133,7 +148,11 @@ class Region:
             reach = np.maximum(reach, deviations(points))
         width = np.ceil(reach[:, None] * steps_per_mm(self.affine)).astype(np.int64) + 1
         out = np.zeros(self.shape, np.uint8)
-        motion.reaching(self.solid, size, -width, width, out)
+
+        def part(piece: slice) -> None:
+            motion.reaching(self.solid, size, piece.start, piece.stop, -width, width, out)
+
+        in_threads(part, len(blocks), least=4)
         return distances.listed(out, self.solid)
 
 

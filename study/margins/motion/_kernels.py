@@ -6,7 +6,7 @@ from math import floor, sqrt
 
 import numpy as np
 
-from study._compiled import kernel
+from study._compiled import inner, kernel, threaded
 
 SLACK = 1e-9  # voxels: rounding must not hide an offset
 
@@ -93,8 +93,97 @@ def offsets_of_blocks(moves, shape, block, low, high):
             high[b, r] = int(floor(most))
 
 
-@kernel
-def reaching(solid, block, low, high, out):
+@threaded
+def offsets_that_occur(moves, shape, block, begin, end, low, high, table):
+    """Mark the offsets that the corners of every block have by any of the transforms.
+
+    Parameters
+    ----------
+    moves, shape, block
+        See `offsets_of_blocks`.
+    begin, end : int
+        Blocks to do.
+    low, high : (blocks, 3) int arrays
+        From there.
+    table : (blocks, sx, sy, sz) uint8 array
+        All 0 at first; ``table[b, x, y, z]`` is set if offset ``low[b] + (x, y, z)`` occurs, or might by the
+        bounds of what a block moves by.
+    """
+    by, bz = (shape[1] - 1) // block + 1, (shape[2] - 1) // block + 1
+    first = np.empty(3)
+    last = np.empty(3)
+    span = np.empty((3, 2), np.int64)
+    for b in range(begin, end):
+        first[0], first[1], first[2] = b // (by * bz) * block, b // bz % by * block, b % bz * block
+        for c in range(3):
+            last[c] = min(first[c] + block, shape[c]) - 1
+        for n in range(moves.shape[0]):
+            for r in range(3):
+                middle = moves[n, r, 3]
+                half = SLACK
+                for c in range(3):
+                    middle += moves[n, r, c] * 0.5 * (first[c] + last[c])
+                    half += abs(moves[n, r, c]) * 0.5 * (last[c] - first[c])
+                span[r, 0] = int(floor(middle - half)) - low[b, r]
+                span[r, 1] = int(floor(middle + half)) - low[b, r]
+            for x in range(span[0, 0], span[0, 1] + 1):
+                for y in range(span[1, 0], span[1, 1] + 1):
+                    for z in range(span[2, 0], span[2, 1] + 1):
+                        table[b, x, y, z] = 1
+
+
+@inner
+def _or_into(to, other):
+    """Set `to` where `other` is set: a loop of its own, so that it is vectorised."""
+    for k in range(to.shape[0]):
+        to[k] |= other[k]
+
+
+@threaded
+def reached(solid, block, begin, end, low, table, out):
+    """Set `out` at the lattice corners that an offset of their block carries into the structure.
+
+    Parameters
+    ----------
+    solid : (nx, ny, nz) uint8 array
+        The structure.
+    block, begin, end, low, table
+        See `offsets_that_occur`.
+    out : (nx + 1, ny + 1, nz + 1) uint8 array
+        All 0 at first.
+    """
+    nx, ny, nz = solid.shape
+    mx, my, mz = out.shape
+    by, bz = (my - 1) // block + 1, (mz - 1) // block + 1
+    first_set = np.empty((nx, ny), np.int64)  # of every line along the last axis
+    last_set = np.empty((nx, ny), np.int64)
+    for x in range(nx):
+        for y in range(ny):
+            first_set[x, y] = nz
+            last_set[x, y] = -1
+            for z in range(nz):
+                if solid[x, y, z]:
+                    first_set[x, y] = min(first_set[x, y], z)
+                    last_set[x, y] = z
+    for b in range(begin, end):
+        a0, b0, c0 = b // (by * bz) * block, b // bz % by * block, b % bz * block
+        a1, b1, c1 = min(a0 + block, mx), min(b0 + block, my), min(c0 + block, mz)
+        for u in range(table.shape[1]):
+            for v in range(table.shape[2]):
+                for w in range(table.shape[3]):
+                    if table[b, u, v, w] == 0:
+                        continue
+                    dx, dy, dz = low[b, 0] + u, low[b, 1] + v, low[b, 2] + w
+                    for i in range(max(a0, -dx), min(a1, nx - dx)):
+                        for j in range(max(b0, -dy), min(b1, ny - dy)):
+                            k0 = max(c0, first_set[i + dx, j + dy] - dz)
+                            k1 = min(c1, last_set[i + dx, j + dy] + 1 - dz)
+                            if k1 > k0:
+                                _or_into(out[i, j, k0:k1], solid[i + dx, j + dy, k0 + dz : k1 + dz])
+
+
+@threaded
+def reaching(solid, block, begin, end, low, high, out):
     """Set `out` where the structure is at one of the offsets that a place's block allows.
 
     Parameters
@@ -103,6 +192,8 @@ def reaching(solid, block, low, high, out):
         The structure.
     block : int
         Edge of a block.
+    begin, end : int
+        Blocks to do.
     low, high : (blocks, 3) int arrays
         Offsets allowed along each axis, both ends included.
     out : (mx, my, mz) uint8 array
@@ -111,7 +202,7 @@ def reaching(solid, block, low, high, out):
     nx, ny, nz = solid.shape
     mx, my, mz = out.shape
     by, bz = (my - 1) // block + 1, (mz - 1) // block + 1
-    for b in range(low.shape[0]):
+    for b in range(begin, end):
         a0, b0, c0 = b // (by * bz) * block, b // bz % by * block, b % bz * block
         a1, b1, c1 = min(a0 + block, mx), min(b0 + block, my), min(c0 + block, mz)
         x0, x1 = max(a0 + low[b, 0], 0), min(a1 + high[b, 0], nx)
