@@ -15,7 +15,7 @@ from functools import partial
 import numpy as np
 
 from study import published
-from study.appendix import motion_of, over_specimens, select_specimens
+from study.experiments.appendix import motion_of, over_specimens, select_specimens
 from study.robots import FeedSettings, fit_feed_constant
 from study.robots.feed_laws import LAWS
 from study.tables import t_interval, with_interval

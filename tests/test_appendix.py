@@ -6,8 +6,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from study import appendix, published
+from study import published
 from study.errors import FileFormatError, InputError, PlanningError, PlanViolation
+from study.experiments import appendix
 from study.planners import Plan
 from study.prepare import tiny_volume
 from study.tables import save_table

@@ -5,7 +5,8 @@ import pytest
 from planning_cases import small_cone
 
 from study.cases import Case
-from study.cutting import (
+from study.errors import InputError
+from study.experiments.cutting import (
     PRINTED_TERMS,
     case_density,
     changes,
@@ -16,7 +17,6 @@ from study.cutting import (
     term_claims,
     term_variants,
 )
-from study.errors import InputError
 from study.planners import Plan, modified_volume, plan_path
 from study.tables import claims_table
 from study.volumes import PLANNING_NAMES, LabelVolume

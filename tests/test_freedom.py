@@ -5,12 +5,13 @@ import pandas as pd
 import pytest
 from planning_cases import small_cone
 
-from study import freedom, plots, published
-from study.appendix import PRINTED
+from study import plots, published
 from study.cases import Case, undercut
 from study.errors import InputError
-from study.freedom import PLANNERS, differences, freedom_plan, freedom_row, run_freedom, unreached
-from study.freedom_claims import degree_claims, reach_claims, same_bones, window_claims
+from study.experiments import freedom
+from study.experiments.appendix import PRINTED
+from study.experiments.freedom import PLANNERS, differences, freedom_plan, freedom_row, run_freedom, unreached
+from study.experiments.freedom_claims import degree_claims, reach_claims, same_bones, window_claims
 from study.robots import FiveAxis, predict_milling
 from study.volumes import LabelVolume
 

@@ -6,7 +6,7 @@ import pytest
 from scipy import stats
 
 from study.errors import InputError
-from study.margin_confidence import RULES, expected_share, rules_table, run_rules
+from study.experiments.margin_confidence import RULES, expected_share, rules_table, run_rules
 from study.margins import RiskEstimate
 
 FEW = {"runs": 2, "registrations": 600, "judged_on": 3000}

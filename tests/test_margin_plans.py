@@ -6,16 +6,16 @@ import pytest
 
 from study.cases import Case
 from study.errors import InputError
-from study.margin_plans import (
+from study.experiments.margin_plans import (
     cost_rows,
     error_model,
-    grow_margins,
     plan_risk,
     plan_row,
     planned,
     risk_claims,
     risk_rows,
 )
+from study.experiments.margin_survey import grow_margins
 from study.margins import GrowthSettings, grow_margin, reduced_target
 from study.registration import CombinedErrors, PointRegistration
 from study.volumes import LabelVolume, resampled
@@ -43,7 +43,7 @@ def case():
 
 @pytest.fixture(scope="module")
 def margins(case):
-    found, skipped = grow_margins(case, PointRegistration(FIDUCIALS), 0.4, SETTINGS, 0, STRUCTURES)
+    found, skipped = grow_margins(case, case.anatomy, PointRegistration(FIDUCIALS), SETTINGS, 0, STRUCTURES)
     assert skipped == {}
     return found
 
@@ -137,11 +137,11 @@ def test_errors_that_are_zero_are_no_source():
 
 def test_structures_that_are_missing_are_named(case):
     asked = ("facial_nerve", "sigmoid_sinus")
-    found, skipped = grow_margins(case, PointRegistration(FIDUCIALS), 0.4, SETTINGS, 0, asked)
+    found, skipped = grow_margins(case, case.anatomy, PointRegistration(FIDUCIALS), SETTINGS, 0, asked)
     assert [margin.structure for margin in found] == ["facial_nerve"]
     assert skipped["sigmoid_sinus"].startswith("absent")
     with pytest.raises(InputError, match="sigmoid_sinus"):
-        grow_margins(case, PointRegistration(FIDUCIALS), 0.4, SETTINGS, 0, asked[1:])
+        grow_margins(case, case.anatomy, PointRegistration(FIDUCIALS), SETTINGS, 0, asked[1:])
 
 
 def test_claims_name_the_structures_that_are_over():

@@ -11,16 +11,15 @@ from scipy import ndimage
 
 from study.cases import Case, load_case
 from study.errors import InputError
-from study.margin_claims import measured_means, own_claims, printed_means, table_claims
-from study.margin_table import (
+from study.experiments.margin_claims import measured_means, own_claims, printed_means, table_claims
+from study.experiments.margin_survey import at_voxel_size, reason_to_skip
+from study.experiments.margin_table import (
     QUANTITIES,
     VARIANTS,
-    at_voxel_size,
     beside_each_other,
     equal_risk_ratio,
     measured_table,
     printed_table,
-    reason_to_skip,
     run_margin_table,
     select_bones,
     structures_table,
@@ -87,7 +86,7 @@ def test_absent_and_tiny_structures_are_skipped_with_a_reason_at_every_voxel_siz
     assert reason_to_skip(cut, "facial_nerve") == ""
     assert reason_to_skip(cut, "chorda_tympani").startswith("absent")
     assert "5 voxels" in reason_to_skip(cut, "internal_auditory_canal")
-    monkeypatch.setattr("study.margin_table.load_case", lambda name: cut)
+    monkeypatch.setattr("study.experiments.margin_table.load_case", lambda name: cut)
     skipped = ("chorda_tympani", "internal_auditory_canal")
     found = run_margin_table(["x"], (0.4, 0.2), SETTINGS, skipped, workers=1)
     assert found.rows.empty

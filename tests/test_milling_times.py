@@ -6,7 +6,8 @@ import pandas as pd
 import pytest
 
 from study import published
-from study.appendix_claims import (
+from study.errors import InputError
+from study.experiments.appendix_claims import (
     bone_counted_cm3,
     comparison_claims,
     paired_with_printed,
@@ -14,8 +15,7 @@ from study.appendix_claims import (
     shorter_percent,
     strategy_claims,
 )
-from study.errors import InputError
-from study.milling_times import draw_milling_times, fitted_line
+from study.experiments.milling_times import draw_milling_times, fitted_line
 
 
 @pytest.fixture(scope="module")

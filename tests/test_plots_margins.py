@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 
 from study.cases import Case
 from study.errors import InputError
-from study.margin_survey import grow_margins, survey_table
+from study.experiments.margin_survey import grow_margins, survey_table
 from study.margins import ACCEPTABLE_RISKS, GrowthSettings, grow_margin, reduced_target
 from study.margins.illustration import (
     analyzed_shell,
@@ -171,10 +171,10 @@ def test_survey_states_what_it_skips_and_why(block, model):
     anatomy = anatomy.with_labels(labels, {**NAMES, "chorda_tympani": 4})
     case = Case("block", planning, anatomy, APPROACH, model.fiducials)
     settings = GrowthSettings(registrations=4000, validation_registrations=500)
-    grown, skipped = grow_margins(case, anatomy, model, settings, seed=4)
+    grown, skipped = grow_margins(case, anatomy, model, settings, rng=4)
     assert [margin.structure for margin in grown] == ["facial_nerve", "sigmoid_sinus"]
-    assert "at least 10 voxels, got 4" in skipped["chorda_tympani"]
-    assert "expected a label" in skipped["internal_auditory_canal"]
+    assert skipped["chorda_tympani"].startswith("too small: 4 voxels") and "10" in skipped["chorda_tympani"]
+    assert skipped["internal_auditory_canal"].startswith("absent")
     table = survey_table(grown, skipped)
     assert set(table.index) == set(ACCEPTABLE_RISKS)
     row = table.loc["facial_nerve"]

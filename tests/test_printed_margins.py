@@ -6,8 +6,8 @@ The bones differ: ours are synthetic and fitted to nothing in this table. Two of
 import numpy as np
 import pytest
 
-from study.margin_claims import measured_means, printed_means, table_claims
-from study.margin_table import run_margin_table
+from study.experiments.margin_claims import measured_means, printed_means, table_claims
+from study.experiments.margin_table import run_margin_table
 from study.margins import ACCEPTABLE_RISKS, GrowthSettings
 
 VOLUME, RISK, DISTANCE, SPREAD = (

@@ -9,8 +9,8 @@ import pandas as pd
 import pytest
 
 from study import published
-from study.appendix import PRINTED, run_appendix, select_specimens
-from study.appendix_claims import bone_counted_cm3, strategy_claims
+from study.experiments.appendix import PRINTED, run_appendix, select_specimens
+from study.experiments.appendix_claims import bone_counted_cm3, strategy_claims
 
 NAMES = select_specimens("8")
 

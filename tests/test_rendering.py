@@ -15,10 +15,10 @@ from study import plots, rendering
 from study.cases import distance_from, load_case, parse_approach
 from study.collision import Drill
 from study.errors import InputError, PlanViolation
+from study.experiments.sensitivity import removal_order_near, vary
 from study.planners import PlannerSettings, plan_path
 from study.planners.moments import moment, rows_on_one_plane, telling_row
 from study.plots.boundary import REMOVED, TARGET
-from study.sensitivity import removal_order_near, vary
 from study.specimens.structures import SYNONYMS
 from study.volumes import LabelVolume, write_volume
 

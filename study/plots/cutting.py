@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
-from study.cutting import Cutting
+from study.experiments.cutting import Cutting
 from study.plots.style import legend_below, new_axes, styled
 
 #: For each set of terms a colour and a line, in the order they are drawn; they differ in lightness too.

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle
 
-from study.milling_times import COLOURS, NAMES
+from study.experiments.milling_times import COLOURS, NAMES
 from study.planners import Plan
 from study.plots.sections import section
 from study.plots.style import legend_below, new_axes, patches, show_labels, styled
@@ -72,7 +72,7 @@ def degree_ratios(
 
 @styled()
 def bone_by_bone(rows: pd.DataFrame, columns: Mapping[str, str]) -> Figure:
-    """Columns of `study.freedom.run_freedom` over the target's volume, a marker for each planner.
+    """Columns of `study.experiments.freedom.run_freedom` over the target's volume, a marker for each planner.
 
     Parameters
     ----------
@@ -92,7 +92,7 @@ def bone_by_bone(rows: pd.DataFrame, columns: Mapping[str, str]) -> Figure:
 
 @styled()
 def over_holes(rows: pd.DataFrame, columns: Mapping[str, str]) -> Figure:
-    """Columns of `study.freedom.run_freedom` over the diameter of the hole; means over the bones.
+    """Columns of `study.experiments.freedom.run_freedom` over the diameter of the hole; means over the bones.
 
     Parameters
     ----------

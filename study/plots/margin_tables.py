@@ -32,7 +32,7 @@ def margin_volumes(table: pd.DataFrame) -> Figure:
     Parameters
     ----------
     table : DataFrame
-        Of `study.margin_table.measured_table`.
+        Of `study.experiments.margin_table.measured_table`.
     """
     table = table[table["quantity"] == "safety_margin_volume_mm3"]
     sizes = sorted(table.loc[table["n"] > 0, "voxel_size_mm"].unique(), reverse=True)
@@ -78,7 +78,7 @@ def risk_curves(curves: Mapping[tuple[str, str, float], pd.DataFrame], rows: pd.
     Parameters
     ----------
     curves : mapping of (structure, variant, voxel size) to DataFrame
-        Of `study.margin_table.run_margin_table`.
+        Of `study.experiments.margin_table.run_margin_table`.
     rows : DataFrame
         Rows of the same bone: where each margin stopped.
     """
@@ -126,7 +126,7 @@ def stopping_rules(rows: pd.DataFrame) -> Figure:
     Parameters
     ----------
     rows : DataFrame
-        Of `study.margin_confidence.run_rules`.
+        Of `study.experiments.margin_confidence.run_rules`.
     """
     structures = _structures(rows["structure"])
     rules = list(dict.fromkeys(rows["rule"]))

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from matplotlib.figure import Figure
 
 from study.cases import Case
-from study.margin_plans import MarginedPlan
+from study.experiments.margin_plans import MarginedPlan
 from study.rendering.panels import panels
 from study.rendering.scene import Scene
 from study.rendering.views import View, approach_view

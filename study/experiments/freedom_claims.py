@@ -7,10 +7,10 @@ from itertools import product
 
 import pandas as pd
 
-from study.appendix_claims import Where
 from study.errors import InputError
-from study.freedom import differences, of_planner
-from study.milling_times import NAMES
+from study.experiments.appendix_claims import Where
+from study.experiments.freedom import differences, of_planner
+from study.experiments.milling_times import NAMES
 from study.published import OTHER_BONES
 from study.tables import Claim, PairedComparison, paired_comparison, unit_of, with_interval, with_unit
 
@@ -163,7 +163,7 @@ def reach_claims(rows: pd.DataFrame) -> list[Claim]:
     Parameters
     ----------
     rows : pandas.DataFrame
-        Of `study.freedom.run_freedom`, with planners ``"4 DOF"`` and ``"5 DOF"``.
+        Of `study.experiments.freedom.run_freedom`, with planners ``"4 DOF"`` and ``"5 DOF"``.
 
     Returns
     -------
@@ -209,7 +209,8 @@ def window_claims(rows: pd.DataFrame) -> list[Claim]:
     Parameters
     ----------
     rows : pandas.DataFrame
-        Of `study.freedom.run_freedom`, with all three `study.freedom.PLANNERS` on two bones or more.
+        Of `study.experiments.freedom.run_freedom`, with all three planners
+        (`study.experiments.freedom.PLANNERS`) on two bones or more.
 
     Returns
     -------

@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 
 from study.errors import InputError
-from study.milling_times import NAMES, FittedLine, fitted_line
+from study.experiments.milling_times import NAMES, FittedLine, fitted_line
 from study.tables import Claim, PairedComparison, paired_comparison, with_interval, with_unit
 
 Where = Literal["printed", "measured"]

@@ -15,20 +15,15 @@ import pandas as pd
 
 from study.cases import Case
 from study.errors import InputError
-from study.margin_table import at_voxel_size, reason_to_skip
 from study.margins import (
-    ACCEPTABLE_RISKS,
-    GrowthSettings,
     RiskEstimate,
     SafetyMargin,
-    grow_margin,
     reduced_target,
 )
 from study.planners import Plan, plan_path
 from study.planners.modified import modified_volume
 from study.registration import CombinedErrors, ErrorSource, ImageError, PointRegistration, RobotError
 from study.robots import predict_milling
-from study.specimens import structure_mask
 from study.tables import Claim
 from study.volumes import LabelVolume, resampled
 
@@ -110,52 +105,6 @@ def error_model(
     if robot_mm or robot_deg or (compliance_mm_per_n and force_n):
         sources.append(robot)
     return CombinedErrors(sources) if len(sources) > 1 else registration
-
-
-def grow_margins(
-    case: Case,
-    model: ErrorSource,
-    voxel_mm: float = 0.2,
-    settings: GrowthSettings | None = None,
-    rng: object = None,
-    structures: Sequence[str] = tuple(ACCEPTABLE_RISKS),
-) -> tuple[tuple[SafetyMargin, ...], dict[str, str]]:
-    """Margins of the structures a case has.
-
-    Parameters
-    ----------
-    case : Case
-        With anatomy.
-    model : ErrorSource
-    voxel_mm : float
-        See `study.margin_table.at_voxel_size`.
-    settings : GrowthSettings, optional
-    rng : anything `numpy.random.default_rng` takes
-        The same for every structure.
-    structures : sequence of str
-
-    Returns
-    -------
-    tuple of SafetyMargin
-    dict of str to str
-        Structures that got none, and why.
-
-    Raises
-    ------
-    InputError
-        If none of the structures is in the case.
-    """
-    reasons = {structure: reason_to_skip(case, structure) for structure in structures}
-    skipped = {structure: reason for structure, reason in reasons.items() if reason}
-    if len(skipped) == len(reasons):
-        raise InputError(f"{case.name}: expected one of {list(structures)} at least, got none: {skipped}")
-    volume = at_voxel_size(case.anatomy, voxel_mm)
-    margins = [
-        grow_margin(volume, structure_mask(volume, name), model, settings=settings, rng=rng, name=name)
-        for name in structures
-        if name not in skipped
-    ]
-    return tuple(margins), skipped
 
 
 def planned(

@@ -9,9 +9,9 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
-from study.appendix_claims import Where
 from study.errors import InputError
-from study.margin_table import QUANTITIES
+from study.experiments.appendix_claims import Where
+from study.experiments.margin_table import QUANTITIES
 from study.margins import ACCEPTABLE_RISKS, RiskEstimate
 from study.margins.point_risk import point_damage_risk
 from study.published import table as published_table
@@ -40,7 +40,7 @@ def printed_means() -> pd.DataFrame:
 
 
 def measured_means(rows: pd.DataFrame) -> pd.DataFrame:
-    """Means over the bones of `study.margin_table.MarginTable.rows`, indexed by `WHICH`."""
+    """Means over the bones of `study.experiments.margin_table.MarginTable.rows`, indexed by `WHICH`."""
     return rows.groupby(WHICH)[[*QUANTITIES, "mean_point_risk"]].mean()
 
 
@@ -178,7 +178,7 @@ def own_claims(rows: pd.DataFrame) -> list[Claim]:
     Parameters
     ----------
     rows : DataFrame
-        Of `study.margin_table.run_margin_table`.
+        Of `study.experiments.margin_table.run_margin_table`.
 
     Returns
     -------

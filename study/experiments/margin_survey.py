@@ -8,23 +8,50 @@ import numpy as np
 import pandas as pd
 
 from study.cases import Case
-from study.errors import InputError
+from study.errors import InputError, LabelError
 from study.margins import ACCEPTABLE_RISKS, GrowthSettings, SafetyMargin, grow_margin
-from study.margins.region import checked_structure
-from study.registration import PointRegistration
+from study.margins.region import LEAST_VOXELS
+from study.registration import ErrorSource
 from study.specimens import structure_mask
-from study.volumes import LabelVolume
+from study.volumes import LabelVolume, resampled
 
 #: Points of a structure of which a mean is taken.
 _ENOUGH = 20_000
+#: Share by which voxels may miss the size asked for and still be taken as they are.
+_SAME_SIZE = 0.1
+
+
+def at_voxel_size(volume: LabelVolume, mm: float) -> LabelVolume:
+    """The volume on voxels of a size: as it is if its own are within a tenth, else resampled.
+
+    To smaller voxels by `study.volumes.resampled` with "smooth" (upsampling, 3.3.1), to larger ones with
+    "majority".
+    """
+    ratio = volume.spacing / mm
+    if (np.abs(ratio - 1) <= _SAME_SIZE).all():
+        return volume
+    return resampled(volume, mm, "smooth" if ratio.max() > 1 else "majority")
+
+
+def reason_to_skip(case: Case, structure: str) -> str:
+    """Why a structure of a bone gets no margin, or ``""``; decided on the bone as it was scanned."""
+    if case.anatomy is None:
+        return "no labelled anatomy"
+    try:
+        voxels = int(np.count_nonzero(structure_mask(case.anatomy, structure)))
+    except LabelError as error:
+        return f"absent: {error}"
+    if voxels < LEAST_VOXELS:
+        return f"too small: {voxels} voxels of the scan, {LEAST_VOXELS} are the least"
+    return ""
 
 
 def grow_margins(
     case: Case,
     volume: LabelVolume,
-    model: PointRegistration,
+    model: ErrorSource,
     settings: GrowthSettings | None = None,
-    seed: int = 0,
+    rng: object = None,
     structures: Sequence[str] = tuple(ACCEPTABLE_RISKS),
 ) -> tuple[list[SafetyMargin], dict[str, str]]:
     """Spatially varying margins of the structures that a bone has.
@@ -34,10 +61,11 @@ def grow_margins(
     case : Case
         Whether a structure is there, and large enough, is decided on its anatomy as scanned.
     volume : LabelVolume
-        The anatomy, at the voxel size at which margins are grown.
-    model : PointRegistration
+        The anatomy, at the voxel size at which margins are grown; see `at_voxel_size`.
+    model : ErrorSource
     settings : GrowthSettings, optional
-    seed : int
+    rng : anything `numpy.random.default_rng` takes
+        A seed is the same for every structure.
     structures : sequence of str
         Keys of `study.margins.ACCEPTABLE_RISKS`.
 
@@ -46,16 +74,21 @@ def grow_margins(
     list of SafetyMargin
     dict of str to str
         Structures that got no margin, and why.
+
+    Raises
+    ------
+    InputError
+        If none of the structures is in the case.
     """
-    margins, skipped = [], {}
-    for name in structures:
-        try:
-            checked_structure(structure_mask(case.anatomy, name), name, case.anatomy)
-            mask = structure_mask(volume, name)
-        except InputError as error:  # absent, or a few voxels only
-            skipped[name] = str(error)
-            continue
-        margins.append(grow_margin(volume, mask, model, settings=settings, rng=seed, name=name))
+    reasons = {structure: reason_to_skip(case, structure) for structure in structures}
+    skipped = {structure: reason for structure, reason in reasons.items() if reason}
+    if len(skipped) == len(reasons):
+        raise InputError(f"{case.name}: expected one of {list(structures)} at least, got none: {skipped}")
+    margins = [
+        grow_margin(volume, structure_mask(volume, name), model, settings=settings, rng=rng, name=name)
+        for name in structures
+        if name not in skipped
+    ]
     return margins, skipped
 
 

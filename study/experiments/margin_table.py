@@ -16,17 +16,18 @@ import numpy as np
 import pandas as pd
 
 from study import published
-from study.appendix import over_specimens, select_specimens
-from study.cases import Case, load_case
-from study.errors import InputError, LabelError
+from study.cases import load_case
+from study.errors import InputError
+from study.experiments.appendix import over_specimens, select_specimens
+from study.experiments.margin_survey import at_voxel_size, reason_to_skip
 from study.margins import ACCEPTABLE_RISKS, GrowthSettings, SafetyMargin, grow_margin
 from study.margins.published import shell_of
-from study.margins.region import LEAST_VOXELS, Region
+from study.margins.region import Region
 from study.paths import PROJECT
 from study.registration import PointRegistration
 from study.specimens import structure_mask
 from study.tables import t_interval
-from study.volumes import LabelVolume, resampled
+from study.volumes import LabelVolume
 
 #: Letters of the printed table and what `grow_margin` calls the shape.
 VARIANTS = {"SV": "spatially_varying", "UT": "constant_thickness"}
@@ -40,10 +41,8 @@ QUANTITIES = (
 )
 
 #: Risks, as multiples of the acceptable one, at which volumes are compared. `SafetyMargin.curve`
-#: reaches down to a tenth.
+#: reaches down to a third.
 _MULTIPLES = np.geomspace(1 / 3, 3, 41)
-#: Share by which voxels may miss the size asked for and still be taken as they are.
-_SAME_SIZE = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +71,8 @@ def select_bones(specimens: str) -> list[str]:
     Parameters
     ----------
     specimens : str
-        A folder of a bone or one that holds such folders; else as of `study.appendix.select_specimens`.
+        A folder of a bone or one that holds such folders; else as of
+        `study.experiments.appendix.select_specimens`.
 
     Raises
     ------
@@ -91,31 +91,6 @@ def select_bones(specimens: str) -> list[str]:
 
 def _holds_labels(folder: Path) -> bool:
     return any(folder.glob("*.nrrd")) or any(folder.glob("*.nii*"))
-
-
-def at_voxel_size(volume: LabelVolume, mm: float) -> LabelVolume:
-    """The volume on voxels of a size: as it is if its own are within a tenth, else resampled.
-
-    To smaller voxels by `study.volumes.resampled` with "smooth" (upsampling, 3.3.1), to larger ones with
-    "majority".
-    """
-    ratio = volume.spacing / mm
-    if (np.abs(ratio - 1) <= _SAME_SIZE).all():
-        return volume
-    return resampled(volume, mm, "smooth" if ratio.max() > 1 else "majority")
-
-
-def reason_to_skip(case: Case, structure: str) -> str:
-    """Why a structure of a bone gets no margin, or ``""``; decided on the bone as it was scanned."""
-    if case.anatomy is None:
-        return "no labelled anatomy"
-    try:
-        voxels = int(np.count_nonzero(structure_mask(case.anatomy, structure)))
-    except LabelError as error:
-        return f"absent: {error}"
-    if voxels < LEAST_VOXELS:
-        return f"too small: {voxels} voxels of the scan, {LEAST_VOXELS} are the least"
-    return ""
 
 
 def margin_row(margin: SafetyMargin) -> dict[str, object]:

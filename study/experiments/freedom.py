@@ -15,9 +15,9 @@ from functools import partial
 import numpy as np
 import pandas as pd
 
-from study.appendix import over_specimens
 from study.cases import load_case, undercut
 from study.errors import IncompletePlanWarning, InputError, PlanViolation, StudyError
+from study.experiments.appendix import over_specimens
 from study.planners import Plan, PlannerSettings, plan_path
 from study.planners.planning import STRATEGIES
 from study.prepare import load_kernels

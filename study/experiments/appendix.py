@@ -106,7 +106,7 @@ def appendix_row(
     dict
         ``specimen``, the printed columns, ``verified``, ``strategy``, ``dof``, ``seed``. The robot's
         columns are absent for 5 degrees of freedom, as in print: the text's robot has 4 (2.4.2). What
-        a robot with a fifth makes of these plans is in `study.freedom`.
+        a robot with a fifth makes of these plans is in `study.experiments.freedom`.
     """
     plan = plan_specimen(name, strategy, dof, seed)
     row = {"specimen": name, **plan.summary()}
