@@ -25,21 +25,26 @@ import numba
 PACKAGE = Path(__file__).resolve().parent
 
 
+@cache
+def _names_imported(source: bytes) -> tuple[str, ...]:
+    """Dotted names that a source text imports; kept, since many rooms import the same files."""
+    names = []
+    for item in ast.walk(ast.parse(source)):
+        if isinstance(item, ast.Import):
+            names += [name.name for name in item.names]
+        elif isinstance(item, ast.ImportFrom) and not item.level:
+            names += [f"{item.module}.{name.name}" for name in item.names]
+    return tuple(names)
+
+
 def _sources_imported(source: Path, package: Path) -> Iterator[Path]:
     """Files of the package that a file imports; for a name out of a module, the module's."""
-    for item in ast.walk(ast.parse(source.read_bytes())):
-        if isinstance(item, ast.Import):
-            names = [name.name for name in item.names]
-        elif isinstance(item, ast.ImportFrom) and not item.level:
-            names = [f"{item.module}.{name.name}" for name in item.names]
-        else:
-            continue
-        for name in names:
-            top, *parts = name.split(".")
-            if top == package.name:
-                path = package.joinpath(*parts)
-                choices = (path.with_suffix(".py"), path / "__init__.py", path.parent.with_suffix(".py"))
-                yield next((c for c in choices if c.is_file()), path.parent / "__init__.py")
+    for name in _names_imported(source.read_bytes()):
+        top, *parts = name.split(".")
+        if top == package.name:
+            path = package.joinpath(*parts)
+            choices = (path.with_suffix(".py"), path / "__init__.py", path.parent.with_suffix(".py"))
+            yield next((c for c in choices if c.is_file()), path.parent / "__init__.py")
 
 
 def kernel_sources(source: Path, package: Path = PACKAGE) -> set[Path]:

@@ -9,7 +9,9 @@ from __future__ import annotations
 
 import os
 import platform
+import subprocess
 import sys
+from collections.abc import Sequence
 from functools import cache
 from itertools import product
 
@@ -64,18 +66,21 @@ def load_kernels(strategy: str, dof: int) -> None:
     plan_path(tiny_volume(), strategy, dof)
 
 
-def warm() -> None:
-    """Compile every kernel once.
-
-    Processes that fill numba's cache at the same time can break it, so this comes before any worker.
-    """
-    for strategy, dof in product(STRATEGIES, DEGREES_OF_FREEDOM):
+def warm_planning(
+    strategies: Sequence[str] = STRATEGIES, degrees: Sequence[int] = DEGREES_OF_FREEDOM
+) -> None:
+    """Compile, or load, what planning, replaying and milling need."""
+    for strategy, dof in product(strategies, degrees):
         plan = plan_path(tiny_volume(), strategy=strategy, dof=dof)
         plan.verify()
         predict_milling(plan, density=np.ones(plan.remaining.shape))
         if (strategy, dof) == ("3d", 4):
             state = moment(plan, telling_row(plan))
             pose_is_free(state.shaft, *state.frame.from_indices(state.index[None])[0], state.tilt)
+
+
+def warm_checks() -> None:
+    """Compile the checks of the shaft that nobody calls in planning, and the terms of the fitness."""
     volume = tiny_volume()
     terms = (CuttingForce(1.0), IncidenceAngle(1.0))
     plan_path(volume, settings=PlannerSettings(terms=terms))
@@ -88,17 +93,51 @@ def warm() -> None:
     solid = np.zeros((3, 3, 3), bool)
     solid[1] = True
     OctreeCheck(solid, volume.spacing).met(np.zeros(3), np.array([1.0, 0.0, 0.0]))
+
+
+def warm_margins() -> None:
+    """Compile what registration and margins need."""
     model = PointRegistration(20.0 * np.eye(3))
     for method, shape in (("exact", SHAPES[0]), ("exact", SHAPES[1]), ("published", SHAPES[0])):
         settings = GrowthSettings(method, registrations=300, validation_registrations=10)
-        grow_margin(volume, "target", model, 0.05, shape, settings, rng=0).summary()
+        grow_margin(tiny_volume(), "target", model, 0.05, shape, settings, rng=0).summary()
+
+
+def warm() -> None:
+    """Compile every kernel once.
+
+    Processes that fill numba's cache at the same time can break it, so this comes before any worker.
+    """
+    warm_planning()
+    warm_checks()
+    warm_margins()
+
+
+def warm_side_by_side() -> None:
+    """Compile every kernel once, planning and margins in a process each.
+
+    They have no kernel in common, and each room's are kept in a folder of its own.
+
+    Raises
+    ------
+    StudyError
+        If the margins' process fails.
+    """
+    command = [sys.executable, "-c", "from study.prepare import warm_margins; warm_margins()"]
+    with subprocess.Popen(command) as margins:
+        warm_planning()
+        warm_checks()
+        if margins.wait():
+            raise StudyError(
+                f"the process that compiles the kernels of margins ended with {margins.returncode}"
+            )
 
 
 def main() -> int:
     """Run ``python -m study.prepare``."""
     try:
         profile = chosen_profile()
-        warm()
+        warm_side_by_side()
     except StudyError as error:
         print(f"python -m study.prepare: {error}", file=sys.stderr)
         return 2

@@ -62,9 +62,9 @@ def give_caches(config, specs):
     here, and each worker starts from a copy. What tests compile beyond that goes to the copy, which goes
     away at the end. Notebooks and other processes that a test starts take over their worker's folder.
     """
-    from study.prepare import warm  # imports all of the package, which a single test need not wait for
+    from study.prepare import warm_side_by_side  # imports all of the package: a single test need not wait
 
-    warm()
+    warm_side_by_side()
     chosen = os.environ.get("NUMBA_CACHE_DIR")
     base = Path(chosen) if chosen else Path(_compiled.__file__).parent / "__pycache__"
     writable = os.access(base, os.W_OK)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 
@@ -21,7 +21,7 @@ from study.errors import FileFormatError, InputError, PlanViolation, StudyError
 from study.paths import output_folder
 from study.planners import Plan, PlannerSettings, plan_path
 from study.planners.planning import STRATEGIES
-from study.prepare import load_kernels, warm
+from study.prepare import load_kernels, warm, warm_planning
 from study.robots import FeedSettings, Motion, predict_milling
 from study.specimens import catalogue, specimen
 
@@ -133,7 +133,9 @@ def _workers(asked: int, jobs: int) -> int:
     return max(1, min(asked or min(2, os.cpu_count() or 1), jobs))
 
 
-def over_specimens(function, names: Sequence[str], workers: int = 0) -> list:
+def over_specimens(
+    function: Callable, names: Sequence, workers: int = 0, load: Callable[[], None] = warm
+) -> list:
     """``[function(name) for name in names]`` in processes of their own.
 
     Parameters
@@ -143,6 +145,8 @@ def over_specimens(function, names: Sequence[str], workers: int = 0) -> list:
     names : sequence of str
     workers : int
         Processes; 0 takes two, or one where there is only one core. 1 stays in this process.
+    load : callable
+        Compiles what `function` needs: once, before several processes would do it.
 
     Returns
     -------
@@ -154,7 +158,7 @@ def over_specimens(function, names: Sequence[str], workers: int = 0) -> list:
     progress = partial(tqdm, total=len(names), desc="specimens", leave=False, disable=silent)
     if workers == 1:
         return list(progress(map(function, names)))
-    warm()  # kernels are compiled once, before several processes would do it
+    load()
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(workers, mp_context=context) as pool:
         return list(progress(pool.map(function, names)))
@@ -198,7 +202,8 @@ def run_appendix(
     if (strategy, dof) not in PRINTED:
         raise InputError(f"strategy, dof: expected {STRATEGIES} with 4 or 5, got {strategy!r}, {dof!r}")
     one = partial(appendix_row, strategy=strategy, dof=dof, seed=seed, feed=feed)
-    rows = pd.DataFrame(over_specimens(one, names, workers))
+    load = partial(warm_planning, (strategy,), (dof,))
+    rows = pd.DataFrame(over_specimens(one, names, workers, load))
     columns = [name for name in published.table(PRINTED[strategy, dof]).columns if name in rows]
     return rows[[*columns, "verified", "strategy", "dof", "seed"]].set_index("specimen")
 

@@ -20,7 +20,7 @@ from study.errors import IncompletePlanWarning, InputError, PlanViolation, Study
 from study.experiments.appendix import over_specimens
 from study.planners import Plan, PlannerSettings, plan_path
 from study.planners.planning import STRATEGIES
-from study.prepare import load_kernels
+from study.prepare import load_kernels, warm_planning
 from study.robots import FiveAxis, predict_milling
 from study.robots.turns import angles_between
 from study.tables import t_interval
@@ -183,7 +183,7 @@ def run_freedom(
     if not jobs:
         raise InputError("names, holes_mm: expected at least one bone, got none")
     one = partial(_rows_of, planners=planners, strategies=strategies, rim_mm=rim_mm, seed=seed)
-    return pd.DataFrame([row for rows in over_specimens(one, jobs, workers) for row in rows])
+    return pd.DataFrame([row for rows in over_specimens(one, jobs, workers, warm_planning) for row in rows])
 
 
 def of_planner(rows: pd.DataFrame, strategy: str, planner: str) -> pd.DataFrame:
