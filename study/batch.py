@@ -19,14 +19,18 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-import nbformat
-import papermill
-import yaml
-from papermill.exceptions import PapermillExecutionError
-from traitlets.config import Config
+# nbformat imports jsonschema, and that, where it is installed, a package that spends more than a second on a
+# grammar of web addresses, in which notebooks are not checked. It does without when the import fails.
+sys.modules.setdefault("rfc3987_syntax", None)
 
-from study.errors import FileFormatError, InputError, StudyError
-from study.paths import PROJECT
+import nbformat  # noqa: E402
+import papermill  # noqa: E402
+import yaml  # noqa: E402
+from papermill.exceptions import PapermillExecutionError  # noqa: E402
+from traitlets.config import Config  # noqa: E402
+
+from study.errors import FileFormatError, InputError, StudyError  # noqa: E402
+from study.paths import PROJECT  # noqa: E402
 
 EXECUTED = PROJECT / "figures" / "executed"
 """Folder of the executed copies; they are for reading and no result depends on them."""

@@ -19,17 +19,13 @@ import numba
 import numpy as np
 import yaml
 
-from study.collision import DirectionCheck, OctreeCheck
 from study.collision._kernels import pose_is_free
-from study.collision.exact._kernels import cylinder_overlaps_box
 from study.errors import InputError, StudyError
 from study.files import written_whole
-from study.margins import SHAPES, GrowthSettings, grow_margin
 from study.paths import PROJECT, output_folder
 from study.planners import CuttingForce, IncidenceAngle, PlannerSettings, plan_path
 from study.planners.moments import moment, telling_row
 from study.planners.planning import DEGREES_OF_FREEDOM, STRATEGIES
-from study.registration import PointRegistration
 from study.robots import predict_milling
 from study.volumes import LabelVolume
 
@@ -81,6 +77,10 @@ def warm_planning(
 
 def warm_checks() -> None:
     """Compile the checks of the shaft that nobody calls in planning, and the terms of the fitness."""
+    # Imported here and below: a stage that only plans need not load them.
+    from study.collision import DirectionCheck, OctreeCheck
+    from study.collision.exact._kernels import cylinder_overlaps_box
+
     volume = tiny_volume()
     terms = (CuttingForce(1.0), IncidenceAngle(1.0))
     plan_path(volume, settings=PlannerSettings(terms=terms))
@@ -97,6 +97,9 @@ def warm_checks() -> None:
 
 def warm_margins() -> None:
     """Compile what registration and margins need."""
+    from study.margins import SHAPES, GrowthSettings, grow_margin
+    from study.registration import PointRegistration
+
     model = PointRegistration(20.0 * np.eye(3))
     for method, shape in (("exact", SHAPES[0]), ("exact", SHAPES[1]), ("published", SHAPES[0])):
         settings = GrowthSettings(method, registrations=300, validation_registrations=10)
