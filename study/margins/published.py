@@ -11,11 +11,10 @@ import numpy as np
 import pandas as pd
 
 from study.errors import MarginError
-from study.margins.distances import _kernels
 from study.margins.exact import in_order
 from study.margins.overall_risk import overall_damage_risk
 from study.margins.point_risk import all_distances
-from study.margins.region import Region, reach_of
+from study.margins.region import Region, neighbours, reach_of
 from study.margins.task import Grown, Task
 
 
@@ -30,10 +29,14 @@ def transfer_share(risk: float, acceptable_risk: float, initial: float, decay_st
 
 
 def shell_of(union: np.ndarray) -> np.ndarray:
-    """Bool mask of the analyzed shell: voxels outside that share a corner with one inside."""
-    out = np.zeros(union.shape, np.uint8)
-    _kernels.widen(union, np.ones(3, np.int64), out)
-    return (out == 1) & (union == 0)
+    """Bool mask of the analyzed shell: voxels outside that share a corner with one inside.
+
+    Parameters
+    ----------
+    union : (nx, ny, nz) uint8 array
+        Structure and margin.
+    """
+    return neighbours(union) & (union == 0)
 
 
 def grow_as_published(task: Task, growing: np.random.Generator, validating: np.random.Generator) -> Grown:

@@ -156,6 +156,15 @@ class Region:
         return distances.listed(out, self.solid)
 
 
+def neighbours(solid: np.ndarray) -> np.ndarray:
+    """Bool mask of voxels that are set in a uint8 array or share a corner with one that is."""
+    out = np.zeros(solid.shape, np.uint8)
+    blocks = int(np.prod([-(-n // _OFFSET_BLOCK) for n in solid.shape]))
+    steps = np.ones((blocks, 3), np.int64)
+    motion.reaching(solid, _OFFSET_BLOCK, 0, blocks, -steps, steps, out)
+    return out == 1
+
+
 def steps_per_mm(affine: np.ndarray) -> np.ndarray:
     """(3,) voxels that a ball of radius 1 mm reaches along each index axis."""
     return np.linalg.norm(np.linalg.inv(affine[:3, :3]), axis=1)

@@ -1,5 +1,4 @@
-"""Compiled: the band of voxels about a structure, and their smallest distance to its surface in a metric
-that varies from place to place.
+"""Compiled: voxels near a structure, and their smallest distance to its surface in a metric that varies.
 
 Lattice corner ``(a, b, c)`` touches the voxels ``a - 1 .. a`` and so on.
 """
@@ -10,72 +9,9 @@ from math import floor, sqrt
 
 import numpy as np
 
-from study._compiled import inlined, kernel, threaded
+from study._compiled import kernel, threaded
 
 NO_CORNER = 32000  # farther than any
-
-
-@kernel
-def widen(mask, axis_reach, out):
-    """Set `out` where a voxel of `mask` is at most `axis_reach[k]` voxels away along each axis k.
-
-    Parameters
-    ----------
-    mask, out : (nx, ny, nz) uint8 arrays
-        `out` must be all 0.
-    axis_reach : (3,) int array
-    """
-    nx, ny, nz = mask.shape
-    r = axis_reach[2]
-    for i in range(nx):
-        for j in range(ny):
-            last = -r - 1
-            for k in range(nz):
-                if mask[i, j, k]:
-                    for t in range(max(last + r + 1, k - r, 0), min(k + r + 1, nz)):
-                        out[i, j, t] = 1
-                    last = k
-    r = axis_reach[1]
-    far = np.empty(max(nx, ny), np.int64)
-    line = np.empty(max(nx, ny), np.uint8)
-    for i in range(nx):
-        for k in range(nz):
-            any_ = False
-            for j in range(ny):
-                line[j] = out[i, j, k]
-                any_ = any_ or line[j] != 0
-            if any_:
-                _widen_line(line, ny, r, far)
-                for j in range(ny):
-                    out[i, j, k] = line[j]
-    r = axis_reach[0]
-    for j in range(ny):
-        for k in range(nz):
-            any_ = False
-            for i in range(nx):
-                line[i] = out[i, j, k]
-                any_ = any_ or line[i] != 0
-            if any_:
-                _widen_line(line, nx, r, far)
-                for i in range(nx):
-                    out[i, j, k] = line[i]
-
-
-@inlined
-def _widen_line(line, n, r, far):
-    last = -r - 1
-    for t in range(n):
-        if line[t]:
-            last = t
-        far[t] = t - last
-    last = n + r + 1
-    for t in range(n - 1, -1, -1):
-        if line[t]:
-            last = t
-        if far[t] <= r or last - t <= r:
-            far[t] = 0
-    for t in range(n):
-        line[t] = 1 if far[t] == 0 else 0
 
 
 @kernel
