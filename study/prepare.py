@@ -95,8 +95,9 @@ def warm_checks() -> None:
     OctreeCheck(solid, volume.spacing).met(np.zeros(3), np.array([1.0, 0.0, 0.0]))
 
 
+@cache
 def warm_margins() -> None:
-    """Compile what registration and margins need."""
+    """Compile, or load, what registration and margins need, once a process."""
     from study.margins import SHAPES, GrowthSettings, grow_margin
     from study.registration import PointRegistration
 

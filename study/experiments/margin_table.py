@@ -9,7 +9,7 @@ from __future__ import annotations
 import zlib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +24,7 @@ from study.margins import ACCEPTABLE_RISKS, GrowthSettings, SafetyMargin, grow_m
 from study.margins.published import shell_of
 from study.margins.region import Region
 from study.paths import PROJECT
+from study.prepare import warm_margins
 from study.registration import PointRegistration
 from study.specimens import structure_mask
 from study.tables import t_interval
@@ -185,20 +186,8 @@ def _margins_of(
     return rows, skipped, curves
 
 
-@cache
-def _load_kernels(method: str) -> None:
-    """Grow something tiny, once a process: the time of the margins after it holds no loading of kernels."""
-    labels = np.zeros((12, 12, 12), np.uint8)
-    labels[4:8, 4:8, 4:8] = 1
-    volume = LabelVolume(labels, np.diag([0.4, 0.4, 0.4, 1.0]), {"air": 0, "nerve": 1})
-    model = PointRegistration([[0, 0, 30], [30, 0, 30], [0, 40, 35]])
-    settings = GrowthSettings(method=method, registrations=50, confidence=None, validation_registrations=50)
-    for shape in VARIANTS.values():
-        grow_margin(volume, "nerve", model, 0.2, shape, settings, rng=0).summary()
-
-
 def _one_bone(name: str, settings: GrowthSettings, **given) -> tuple[list[dict], list[dict], dict]:
-    _load_kernels(settings.method)
+    warm_margins()  # so that no loading of kernels is in the times
     try:
         return _margins_of(name, settings=settings, **given)
     except Exception as error:  # which of many it was is lost otherwise

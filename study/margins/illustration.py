@@ -6,7 +6,7 @@ is that of `study.margins.overall_risk`, written out again without its shortcuts
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -220,7 +220,7 @@ def growth_step(margin: SafetyMargin, risk: float) -> GrowthStep:
 def analyzed_shell(margin: SafetyMargin) -> tuple[np.ndarray, np.ndarray]:
     """The analyzed shell around structure and margin: (n, 3) voxels, and their (n,) point damage risks."""
     region = _region(margin, margin.structure_mask | margin.mask)
-    union = (margin.structure_mask | margin.mask)[_slices(region)].view(np.uint8)
+    union = region.part(margin.structure_mask | margin.mask).view(np.uint8)
     voxels = np.argwhere(shell_of(union))
     distances = all_distances(region, voxels, displacement_moments(margin.model), 0.0)
     return voxels + region.low, point_damage_risk(distances)
@@ -285,12 +285,7 @@ def telling_voxel(margin: SafetyMargin) -> NearestPoints:
 def _region(margin: SafetyMargin, union: np.ndarray) -> Region:
     """The structure in a box that holds `union` and its shell."""
     box = Region.around(union, margin.volume, 0.0)
-    solid = np.ascontiguousarray(margin.structure_mask[_slices(box)]).view(np.uint8)
-    return Region(solid, box.low, box.affine, box.whole)
-
-
-def _slices(region: Region) -> tuple[slice, ...]:
-    return tuple(slice(a, a + n) for a, n in zip(region.low, region.shape, strict=True))
+    return replace(box, solid=box.part(margin.structure_mask).view(np.uint8))
 
 
 def _box(mask: np.ndarray, width: int) -> tuple[np.ndarray, tuple[slice, ...]]:
