@@ -42,3 +42,7 @@ class PlanViolation(StudyError, RuntimeError):  # noqa: N818 - the violation is 
 
 class IncompletePlanWarning(UserWarning):
     """A plan leaves accessible target behind; the message says how much."""
+
+
+class PaddedVolumeWarning(UserWarning):
+    """A margin leaves its volume, which was padded; the message says by how much."""

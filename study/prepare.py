@@ -105,6 +105,10 @@ def warm_margins() -> None:
     for method, shape in (("exact", SHAPES[0]), ("exact", SHAPES[1]), ("published", SHAPES[0])):
         settings = GrowthSettings(method, registrations=300, validation_registrations=10)
         grow_margin(tiny_volume(), "target", model, 0.05, shape, settings, rng=0).summary()
+    settings = {"registrations": 300, "validation_registrations": 10}
+    for method, purpose in (("exact", "remove"), ("published", "remove"), ("exact", "stay_inside")):
+        chosen = GrowthSettings.for_removal(method, violation_registrations=300, **settings)
+        grow_margin(tiny_volume(), "target", model, 0.05, settings=chosen, rng=0, purpose=purpose).summary()
 
 
 def warm() -> None:

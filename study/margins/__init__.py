@@ -1,15 +1,24 @@
-"""Safety margins: tissue that registration error puts at risk, and how much to spare (Siebold, chapter 3)."""
+"""Safety margins: tissue that registration error puts at risk, to spare or to remove (Siebold, chapters 3, 4)."""
 
 from study.margins.growth import grow_margin
 from study.margins.margin import SafetyMargin
 from study.margins.order_statistics import allowed_hits, least_registrations
 from study.margins.overall_risk import RiskEstimate
 from study.margins.reduced_target import reduced_target
-from study.margins.settings import ACCEPTABLE_RISKS, DECAY_STARTS, SHAPES, GrowthSettings
+from study.margins.settings import (
+    ACCEPTABLE_RISKS,
+    DECAY_STARTS,
+    PURPOSES,
+    REMOVAL_RISK,
+    SHAPES,
+    GrowthSettings,
+)
 
 __all__ = [
     "ACCEPTABLE_RISKS",
     "DECAY_STARTS",
+    "PURPOSES",
+    "REMOVAL_RISK",
     "SHAPES",
     "GrowthSettings",
     "RiskEstimate",

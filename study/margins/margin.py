@@ -13,6 +13,7 @@ from study.errors import InputError, MarginError
 from study.margins.exact import Choice
 from study.margins.overall_risk import RiskEstimate, overall_damage_risk
 from study.margins.point_risk import all_distances, point_damage_risk
+from study.margins.protrusion import largest_losses, protrusion_risk
 from study.margins.region import Region, reach_of
 from study.margins.settings import GrowthSettings
 from study.registration.sources import ErrorSource, checked_transforms, displacement_moments
@@ -21,14 +22,17 @@ from study.volumes import LabelVolume
 
 @dataclass(frozen=True, eq=False)
 class SafetyMargin:
-    """Tissue around a structure that must not be milled, and what it was grown from.
+    """Tissue around a structure that must not be milled, or must be removed, and what it was grown from.
 
     Attributes
     ----------
     structure : str
+    purpose : {"protect", "remove", "stay_inside"}
     volume : LabelVolume
+        Larger than the one that was given where a margin to be removed leaves that.
     structure_mask, mask : (nx, ny, nz) bool arrays
-        The structure, and the margin around it (without the structure).
+        The structure, and the margin around it (without the structure); to stay inside, a rim of the
+        structure.
     model : ErrorSource
     acceptable_risk : float
     shape : {"spatially_varying", "constant_thickness"}
@@ -65,6 +69,7 @@ class SafetyMargin:
     time_s: float
     history: pd.DataFrame | None = None
     choice: Choice | None = field(default=None, repr=False)
+    purpose: str = "protect"
 
     @property
     def voxels(self) -> int:
@@ -75,6 +80,13 @@ class SafetyMargin:
     def volume_mm3(self) -> float:
         """mm^3 of the margin."""
         return self.voxels * self.volume.voxel_volume
+
+    @property
+    def inside(self) -> np.ndarray:
+        """(nx, ny, nz) bool array: the structure without a rim to stay inside of, else with its margin."""
+        if self.purpose == "stay_inside":
+            return self.structure_mask & ~self.mask
+        return self.structure_mask | self.mask
 
     @property
     def damage_risk(self) -> float:
@@ -126,9 +138,14 @@ class SafetyMargin:
 
     @cached_property
     def final_shell(self) -> np.ndarray:
-        """(n, 3) voxels outside structure and margin that share a face with them (Siebold, 3.3.1)."""
+        """(n, 3) voxels outside structure and margin that share a face with them (Siebold, 3.3.1).
+
+        To stay inside: voxels inside that share a face with the rim.
+        """
         union = Region.around(self.structure_mask | self.mask, self.volume, 0.0)
-        inside = union.solid == 1
+        inside = union.part(self.inside)
+        if self.purpose == "stay_inside":
+            return np.argwhere(inside & ~ndimage.binary_erosion(inside, border_value=1)) + union.low
         return np.argwhere(ndimage.binary_dilation(inside) & ~inside) + union.low
 
     @cached_property
@@ -162,12 +179,23 @@ class SafetyMargin:
         while done < registrations:
             count = min(100_000, registrations - done)
             transforms = checked_transforms(model or self.model, count, rng)
-            reach = reach_of(transforms, self.structure_mask, self.volume)
-            region = Region.around(self.structure_mask, self.volume, reach)
-            union = region.part(self.structure_mask | self.mask).view(np.uint8)
-            hits += overall_damage_risk(region, union, transforms).hits
+            hits += self._estimated(transforms).hits
             done += count
         return RiskEstimate(hits, done)
+
+    def _estimated(self, transforms: np.ndarray) -> RiskEstimate:
+        """Overall damage risk on given registrations."""
+        if self.purpose == "protect":
+            reach = reach_of(transforms, self.structure_mask, self.volume)
+            region = Region.around(self.structure_mask, self.volume, reach)
+            return overall_damage_risk(region, region.part(self.inside).view(np.uint8), transforms)
+        whole = Region.around(self.structure_mask | self.mask, self.volume, 0.0)
+        region = replace(whole, solid=whole.part(self.structure_mask).view(np.uint8))
+        if self.purpose == "remove":
+            return protrusion_risk(region, region.part(self.inside).view(np.uint8), transforms)
+        order = np.flatnonzero(region.part(self.inside))
+        lost = largest_losses(region, order, np.ones(len(order)), transforms)
+        return RiskEstimate(int(np.count_nonzero(lost)), len(transforms))
 
     def summary(self) -> pd.Series:
         """The rows of Table 3.2, and what else says how good the margin is."""
@@ -175,6 +203,7 @@ class SafetyMargin:
         values = {
             "structure": self.structure,
             "shape": self.shape,
+            "purpose": self.purpose,
             "method": self.settings.method,
             "acceptable_risk": self.acceptable_risk,
             "safety_margin_volume_mm3": self.volume_mm3,

@@ -5,10 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 from numbers import Integral, Real
 
+import numpy as np
+
 from study.errors import InputError
 
 METHODS = ("exact", "published")
 SHAPES = ("spatially_varying", "constant_thickness")
+#: What a margin is for: tissue that must be spared, tissue that must be removed, a rim to stay inside of.
+PURPOSES = ("protect", "remove", "stay_inside")
+
+#: Overall damage risk that the surgeon accepts for a tumour that is to be removed (Siebold, 4.3.1).
+REMOVAL_RISK = 0.01
 
 #: Overall damage risk that the surgeon accepts for each structure.
 ACCEPTABLE_RISKS = {
@@ -56,6 +63,18 @@ class GrowthSettings:
         Voxels that a step transfers at least.
     most_steps : int
         Steps after which growth counts as stalled.
+    violation_registrations : int
+        "published" and to remove only, as the rest: registrations N_p of which violations are counted at a
+        time (4.3.1). The first are those on which growth stops, as printed.
+    violation_ratio : float
+        R_s, not printed: as long as there are no more violated voxels than this times the voxels to be
+        transferred, violations of N_p more registrations are counted (4.2.4). More of it ranks the voxels
+        better and takes longer.
+    least_violations : int
+        T_r, not printed: voxels that fewer registrations violate never enter the margin (4.2.4). More of it
+        keeps single gross misregistrations out and may stall growth above the acceptable risk.
+    most_batches : int
+        How often N_p registrations are counted in a step at most.
 
     Raises
     ------
@@ -71,6 +90,29 @@ class GrowthSettings:
     decay_start: float | None = None
     least_transfer: int = 1
     most_steps: int = 5_000
+    violation_registrations: int = 5_000
+    violation_ratio: float = 1.0
+    least_violations: int = 1
+    most_batches: int = 10
+
+    @classmethod
+    def for_removal(cls, method: str = "exact", **changes: object) -> GrowthSettings:
+        """What chapter 4 prints (4.3.1): 5000 registrations; of the shell half, and 150 voxels at least.
+
+        Parameters
+        ----------
+        method : {"exact", "published"}
+        **changes
+            Settings that shall be others.
+        """
+        printed = {
+            "registrations": 5_000,
+            "validation_registrations": 5_000,
+            "initial_transfer": 0.5,
+            "decay_start": 0.1,
+            "least_transfer": 150,
+        }
+        return cls(**{"method": method, **printed, **changes})
 
     def __post_init__(self) -> None:
         if self.method not in METHODS:
@@ -80,11 +122,16 @@ class GrowthSettings:
             ("validation_registrations", 0),
             ("least_transfer", 1),
             ("most_steps", 1),
+            ("violation_registrations", 1),
+            ("least_violations", 1),
+            ("most_batches", 1),
         ):
             value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, Integral) or value < least:
                 raise InputError(f"{name}: expected a whole number of at least {least}, got {value!r}")
             object.__setattr__(self, name, int(value))
+        if not isinstance(self.violation_ratio, Real) or not 0 < self.violation_ratio < np.inf:
+            raise InputError(f"violation_ratio: expected a number above 0, got {self.violation_ratio!r}")
         if self.confidence is not None:
             checked_share("confidence", self.confidence)
         for name in ("initial_transfer", "decay_start"):

@@ -30,6 +30,8 @@ class Task:
         By which voxels are ranked: `moments`, or such that distances are mm.
     acceptable_risk, decay_start : float
     settings : GrowthSettings
+    unit : str
+        Of the metric's distances.
     """
 
     volume: LabelVolume
@@ -40,6 +42,7 @@ class Task:
     acceptable_risk: float
     decay_start: float
     settings: GrowthSettings
+    unit: str = "standard deviations"
 
     def registrations(self, rng: np.random.Generator) -> np.ndarray:
         """(n, 4, 4) simulated registrations to grow on."""
@@ -53,7 +56,10 @@ class Task:
 
 @dataclass(frozen=True, eq=False)
 class Grown:
-    """A margin and how it was found; the attributes are those of `SafetyMargin`."""
+    """A margin and how it was found; the attributes are those of `SafetyMargin`.
+
+    Volume and structure where the margin needed room beyond the volume that was given, or simply those.
+    """
 
     mask: np.ndarray
     estimate: RiskEstimate
@@ -61,3 +67,5 @@ class Grown:
     distance: float
     history: pd.DataFrame | None = None
     choice: object = None
+    volume: LabelVolume | None = None
+    structure_mask: np.ndarray | None = None

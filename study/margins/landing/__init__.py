@@ -1,0 +1,1 @@
+"""Compiled landing of voxels under drawn transforms."""
