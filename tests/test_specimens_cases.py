@@ -12,7 +12,6 @@ from study.specimens import (
     TargetRule,
     TemporalBoneParameters,
     mastoidectomy_target,
-    read_kidney_case,
     read_temporal_bone_case,
     structure_mask,
     temporal_bone,
@@ -160,26 +159,3 @@ def test_real_bones(case, side):
     assert found.planning.mask("target").any()
     for name in FIVE:
         assert structure_mask(found.anatomy, name).any()
-
-
-def test_real_kidney():
-    found = read_kidney_case(real("kidney/case_00101"))
-    assert (found.name, found.side) == ("case_00101", "right")
-    assert found.swab.shape == (671, 3)
-    assert found.anatomy.volume_mm3("tumour") / 1000 == pytest.approx(4.99, abs=0.01)
-
-
-def test_kidney_files_that_are_not(tmp_path):
-    labels = np.zeros((5, 5, 5), np.uint8)
-    labels[1:4] = 1
-    write_volume(LabelVolume(labels, np.eye(4), {"a": 0, "b": 1}), tmp_path / "k.nrrd")
-    with pytest.raises(LabelError, match=r"k\.nrrd.*tumour"):
-        read_kidney_case(tmp_path)
-    labels[2, 2, 2] = 2
-    write_volume(LabelVolume(labels, np.eye(4)), tmp_path / "k.nrrd")
-    assert read_kidney_case(tmp_path).side == ""
-    (tmp_path / "swab.csv").write_text("a,b\n1,2\n")
-    with pytest.raises(FileFormatError, match=r"swab\.csv"):
-        read_kidney_case(tmp_path)
-    (tmp_path / "swab.csv").write_text("x_mm,y_mm,z_mm\n1,2,3\n")
-    assert read_kidney_case(tmp_path).swab.tolist() == [[1, 2, 3]]

@@ -1,16 +1,14 @@
-"""Bones and kidneys of public data sets, as files that the user has obtained."""
+"""Temporal bones of public data sets, as files that the user has obtained."""
 
 from __future__ import annotations
 
-import json
 import os
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 
-from study.errors import FileFormatError, GeometryError, LabelError
+from study.errors import FileFormatError, LabelError
+from study.specimens.case_files import json_object, label_file
 from study.specimens.orientation import SIDES, side_of, surgical_view
 from study.specimens.specimen import Specimen, fiducial_ring
 from study.specimens.structures import PUBLIC_LABELS, labels_of
@@ -20,7 +18,6 @@ from study.volumes import PLANNING_NAMES, LabelVolume, read_volume
 #: mm of air that a burr needs lateral of the bone.
 LATERAL_AIR = 12.0
 _LABEL_FILES = ("labels_0p38.nrrd", "labels_native.nrrd")
-_IMAGES = (".nrrd", ".nii", ".nii.gz")
 #: Names in the public set that have a name of this package. One label holds sinus and dura there.
 _RENAMED = {
     "background_or_air": "air",
@@ -33,37 +30,6 @@ _RENAMED = {
     "sinus_dura": "sigmoid_sinus_and_dura",
     "sinus": "sigmoid_sinus",
 }
-
-
-def _json(path: Path) -> dict:
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise FileFormatError(f"{path}: expected JSON, got {error}") from error
-    if not isinstance(content, dict):
-        raise FileFormatError(f"{path}: expected a JSON object, got {type(content).__name__}")
-    return content
-
-
-def _label_file(folder: Path, wanted: str | None, preferred: tuple[str, ...]) -> Path:
-    if not folder.is_dir():
-        raise FileNotFoundError(f"{folder}: no such folder")
-    for name in (wanted,) if wanted else preferred:
-        if (folder / name).is_file():
-            return folder / name
-    if wanted:
-        raise FileNotFoundError(f"{folder / wanted}: no such file")
-    images = sorted(
-        path
-        for path in folder.iterdir()
-        if path.name.endswith(_IMAGES) and not path.name.startswith(("planning", "."))
-    )
-    if len(images) != 1:
-        raise FileFormatError(
-            f"{folder}: expected {' or '.join(preferred)}, or a single image file (name it with labels=), "
-            f"got {[path.name for path in images] or 'none'}"
-        )
-    return images[0]
 
 
 def _names_of_case(case: dict, path: Path) -> dict[str, int] | None:
@@ -135,9 +101,9 @@ def read_temporal_bone_case(
         If the target cannot be made, see `mastoidectomy_target`.
     """
     folder = Path(folder)
-    path = _label_file(folder, labels, _LABEL_FILES)
+    path = label_file(folder, labels, _LABEL_FILES)
     case_path = folder / "case.json"
-    case = _json(case_path) if case_path.is_file() else {}
+    case = json_object(case_path) if case_path.is_file() else {}
     names = _names_of_case(case, case_path)
     raw = read_volume(path, names=names)
     if names is None and all(name.startswith("label_") for name in raw.names):
@@ -180,7 +146,7 @@ def _fiducials(folder: Path, planning: LabelVolume, side: str) -> np.ndarray:
     if not path.is_file():
         return fiducial_ring(planning, side)
     try:
-        positions = np.array(_json(path)["positions"], dtype=float).reshape(-1, 3)
+        positions = np.array(json_object(path)["positions"], dtype=float).reshape(-1, 3)
     except (KeyError, TypeError, ValueError) as error:
         raise FileFormatError(
             f"{path}: expected positions, a list of x, y, z in mm; got {error!r}"
@@ -188,69 +154,3 @@ def _fiducials(folder: Path, planning: LabelVolume, side: str) -> np.ndarray:
     if len(positions) < 3 or not np.isfinite(positions).all():
         raise FileFormatError(f"{path}: expected three or more finite positions, got {len(positions)}")
     return positions
-
-
-@dataclass(frozen=True, eq=False)
-class KidneyCase:
-    """A kidney with a tumour.
-
-    Attributes
-    ----------
-    name : str
-    side : str
-        "right", "left", or "" if the files do not say.
-    anatomy : LabelVolume
-        ``background``, ``kidney``, ``tumour``; LPS.
-    swab : (n, 3) array
-        Points traced on the surface, mm, in tracing order; (0, 3) if the case has none.
-    """
-
-    name: str
-    side: str
-    anatomy: LabelVolume
-    swab: np.ndarray
-
-
-def read_kidney_case(folder: str | os.PathLike[str], *, labels: str | None = None) -> KidneyCase:
-    """Read a segmented kidney with a tumour, prepared or as published.
-
-    Parameters
-    ----------
-    folder : path-like
-        Holds ``labels_1mm.nrrd``, ``segmentation.nii.gz`` or one image file of any name, labels 1
-        kidney and 2 tumour. Read if present: ``case.json`` (``case``, ``side``), ``swab.csv`` (x, y, z).
-    labels : str, optional
-        Name of the label file in the folder.
-
-    Returns
-    -------
-    KidneyCase
-
-    Raises
-    ------
-    FileNotFoundError, FileFormatError
-        As for `read_temporal_bone_case`.
-    LabelError
-        If no voxel is kidney or none is tumour.
-    """
-    folder = Path(folder)
-    path = _label_file(folder, labels, ("labels_1mm.nrrd", "segmentation.nii.gz"))
-    anatomy = read_volume(path, names={"background": 0, "kidney": 1, "tumour": 2})
-    for name in ("kidney", "tumour"):
-        if not anatomy.mask(name).any():
-            raise LabelError(f"{path}: expected voxels labelled {anatomy.names[name]} ({name}), got none")
-    case_path = folder / "case.json"
-    case = _json(case_path) if case_path.is_file() else {}
-    swab_path = folder / "swab.csv"
-    swab = np.zeros((0, 3))
-    if swab_path.is_file():
-        try:
-            table = pd.read_csv(swab_path)
-            table.columns = [str(column).strip().lower().removesuffix("_mm") for column in table]
-            swab = table[["x", "y", "z"]].to_numpy(dtype=float)
-        except (KeyError, ValueError, UnicodeDecodeError, pd.errors.ParserError) as error:
-            raise FileFormatError(f"{swab_path}: expected columns x, y, z in mm, got {error!r}") from error
-        if not np.isfinite(swab).all():
-            raise GeometryError(f"{swab_path}: expected finite coordinates in mm")
-    swab.flags.writeable = False
-    return KidneyCase(str(case.get("case", folder.name)), str(case.get("side", "")), anatomy, swab)

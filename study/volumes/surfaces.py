@@ -24,7 +24,12 @@ _OFF_LEVEL = 1e-3
 _NUDGE = 1e-4
 
 
-def surface(volume: LabelVolume, name: str | Sequence[str], smooth_mm: float = 0.0) -> trimesh.Trimesh:
+def surface(
+    volume: LabelVolume,
+    name: str | Sequence[str],
+    smooth_mm: float = 0.0,
+    pitch_mm: float | None = None,
+) -> trimesh.Trimesh:
     """The closed surface of a label by marching cubes.
 
     Parameters
@@ -35,6 +40,9 @@ def surface(volume: LabelVolume, name: str | Sequence[str], smooth_mm: float = 0
     smooth_mm : float
         Standard deviation in mm of a Gaussian that smooths the voxel steps first. It rounds edges and
         shrinks what is convex (a ball of radius r by about ``smooth_mm**2 / r``); 0 leaves the steps.
+    pitch_mm : float, optional
+        mm between the points of the lattice on whose edges the vertices lie, about 1.5 vertices for
+        ``pitch_mm**2`` of area; the volume's own grid by default. What is thinner is lost.
 
     Returns
     -------
@@ -46,7 +54,7 @@ def surface(volume: LabelVolume, name: str | Sequence[str], smooth_mm: float = 0
     LabelError
         If a name is not the volume's, or no voxel has it.
     InputError
-        If `smooth_mm` is negative or not finite, or smoothing leaves nothing.
+        If a length is negative or not finite, or smoothing or a coarse lattice leaves nothing.
     """
     names = [name] if isinstance(name, str) else list(name)
     mask = volume.mask(*names)
@@ -54,6 +62,8 @@ def surface(volume: LabelVolume, name: str | Sequence[str], smooth_mm: float = 0
         raise LabelError(f"expected voxels of {names}, got none in {volume!r}")
     if not np.isfinite(smooth_mm) or smooth_mm < 0:
         raise InputError(f"smooth_mm: expected a length of at least 0 mm, got {smooth_mm}")
+    if pitch_mm is not None and not (np.isfinite(pitch_mm) and pitch_mm > 0):
+        raise InputError(f"pitch_mm: expected a length above 0 mm, got {pitch_mm}")
     box = ndimage.find_objects(mask.astype(np.uint8))[0]
     sigma = smooth_mm / volume.spacing
     pad = np.ceil(4 * sigma).astype(int) + 1
@@ -65,6 +75,14 @@ def surface(volume: LabelVolume, name: str | Sequence[str], smooth_mm: float = 0
                 f"smooth_mm: expected less than the thickness of {names}, "
                 f"got {smooth_mm} mm, which leaves nothing"
             )
+    step = np.ones(3)
+    if pitch_mm is not None:
+        field, step = _on_lattice(field, pitch_mm / volume.spacing)
+        if field.max() <= 0.5:
+            raise InputError(
+                f"pitch_mm: expected less than the thickness of {names}, "
+                f"got {pitch_mm} mm, which leaves nothing"
+            )
     # Vertices that meet at a grid point would become one in an STL file: keep values off the level.
     near = np.abs(field - 0.5) < _OFF_LEVEL
     field[near] = 0.5 + np.where(field[near] < 0.5, -_OFF_LEVEL, _OFF_LEVEL)
@@ -72,10 +90,17 @@ def surface(volume: LabelVolume, name: str | Sequence[str], smooth_mm: float = 0
     # joins four triangles at an edge; the classic one does not.
     vertices, faces, _, _ = measure.marching_cubes(field, 0.5, method="lorensen")
     start = np.array([part.start for part in box]) - pad
-    mesh = trimesh.Trimesh(volume.points(vertices.astype(float) + start), faces, process=False)
+    mesh = trimesh.Trimesh(volume.points(vertices.astype(float) * step + start), faces, process=False)
     if mesh.volume < 0:
         mesh.invert()
     return mesh
+
+
+def _on_lattice(field: np.ndarray, step: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Values of a padded field, linear between its voxels, on a lattice from the first voxel on."""
+    # The last point may lie beyond the field, where it is as empty as at its edge.
+    counts = [int(np.ceil((n - 1) / s)) + 1 for n, s in zip(field.shape, step, strict=True)]
+    return ndimage.affine_transform(field, step, output_shape=counts, order=1, mode="nearest"), step
 
 
 def write_surface(mesh: trimesh.Trimesh, path: str | os.PathLike[str]) -> None:
