@@ -32,6 +32,9 @@ from study.volumes import LabelVolume
 #: Names the profile of ``params.yaml`` that the pipeline runs in; ``quick`` when it is not set.
 PROFILE_VARIABLE = "STUDY_PROFILE"
 
+#: What a process of its own compiles beside planning; surfaces share kernels with the margins' registration.
+_WARM_MARGINS = "from study.prepare import warm_margins, warm_surface; warm_margins(); warm_surface()"
+
 
 def chosen_profile() -> str:
     """Return the profile that the environment asks for.
@@ -111,6 +114,15 @@ def warm_margins() -> None:
         grow_margin(tiny_volume(), "target", model, 0.05, settings=chosen, rng=0, purpose=purpose).summary()
 
 
+@cache
+def warm_surface() -> None:
+    """Compile, or load, what surface registration needs, once a process."""
+    from study.registration import register_surface
+
+    corners = np.array([[0.0, 0, 0], [20, 0, 0], [0, 20, 0], [0, 0, 20]])
+    register_surface(corners, corners, np.eye(4)[None])
+
+
 def warm() -> None:
     """Compile every kernel once.
 
@@ -119,6 +131,7 @@ def warm() -> None:
     warm_planning()
     warm_checks()
     warm_margins()
+    warm_surface()
 
 
 def warm_side_by_side() -> None:
@@ -131,7 +144,7 @@ def warm_side_by_side() -> None:
     StudyError
         If the margins' process fails.
     """
-    command = [sys.executable, "-c", "from study.prepare import warm_margins; warm_margins()"]
+    command = [sys.executable, "-c", _WARM_MARGINS]
     with subprocess.Popen(command) as margins:
         warm_planning()
         warm_checks()

@@ -1,6 +1,7 @@
 """Registration: closed-form fits, what they miss to first order, and models of it that can be drawn."""
 
 from study.registration.first_order import first_order_tre_covariance, isotropic_tre_covariance
+from study.registration.icp import IcpSettings, SurfaceFits, SurfaceTree, register_surface
 from study.registration.moments import DisplacementMoments, sampled_moments
 from study.registration.point import FLE_RMS, PointRegistration
 from study.registration.rigid import RigidFit, register_points
@@ -17,13 +18,17 @@ __all__ = [
     "CombinedErrors",
     "DisplacementMoments",
     "ErrorSource",
+    "IcpSettings",
     "ImageError",
     "PointRegistration",
     "RigidFit",
     "RobotError",
+    "SurfaceFits",
+    "SurfaceTree",
     "displacement_moments",
     "first_order_tre_covariance",
     "isotropic_tre_covariance",
     "register_points",
+    "register_surface",
     "sampled_moments",
 ]

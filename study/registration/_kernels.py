@@ -69,6 +69,59 @@ def _largest_eigenvector(a, v, q):
         q[k] = v[k, best]
 
 
+@inner
+def rotation_of_sums(s, h, v, q, turn):
+    """Rotation that brings centred points closest to those they are matched with.
+
+    Parameters
+    ----------
+    s : (3, 3) float array
+        Sums of the products of moving (rows) and fixed (columns) coordinates, one set centred.
+    h, v, q : (4, 4), (4, 4) and (4,) float arrays
+        Used up.
+    turn : (3, 3) float array
+        Receives the rotation.
+
+    Returns
+    -------
+    float
+        By how much the largest eigenvalue exceeds the next: 0 where another rotation fits as well.
+    """
+    h[0, 0] = s[0, 0] + s[1, 1] + s[2, 2]
+    h[1, 1] = s[0, 0] - s[1, 1] - s[2, 2]
+    h[2, 2] = s[1, 1] - s[0, 0] - s[2, 2]
+    h[3, 3] = s[2, 2] - s[0, 0] - s[1, 1]
+    h[0, 1] = s[1, 2] - s[2, 1]
+    h[0, 2] = s[2, 0] - s[0, 2]
+    h[0, 3] = s[0, 1] - s[1, 0]
+    h[1, 2] = s[0, 1] + s[1, 0]
+    h[1, 3] = s[2, 0] + s[0, 2]
+    h[2, 3] = s[1, 2] + s[2, 1]
+    for r in range(4):
+        for c in range(r):
+            h[r, c] = h[c, r]
+    _largest_eigenvector(h, v, q)
+    w, x, y, z = q[0], q[1], q[2], q[3]
+    turn[0, 0] = w * w + x * x - y * y - z * z
+    turn[1, 1] = w * w - x * x + y * y - z * z
+    turn[2, 2] = w * w - x * x - y * y + z * z
+    turn[0, 1] = 2 * (x * y - w * z)
+    turn[1, 0] = 2 * (x * y + w * z)
+    turn[0, 2] = 2 * (x * z + w * y)
+    turn[2, 0] = 2 * (x * z - w * y)
+    turn[1, 2] = 2 * (y * z - w * x)
+    turn[2, 1] = 2 * (y * z + w * x)
+    first = max(max(h[0, 0], h[1, 1]), max(h[2, 2], h[3, 3]))
+    gap = np.inf
+    seen = False
+    for k in range(4):
+        if h[k, k] == first and not seen:
+            seen = True
+        else:
+            gap = min(gap, first - h[k, k])
+    return gap
+
+
 @threaded
 def register_many(moving, fixed, weights, out):
     """Fit ``fixed ~ R moving + t`` for each of many sets of points.
@@ -89,6 +142,7 @@ def register_many(moving, fixed, weights, out):
     v = np.empty((4, 4))
     q = np.empty(4)
     s = np.empty((3, 3))
+    turn = np.empty((3, 3))
     from_ = np.empty(3)
     to = np.empty(3)
     for m in range(moving.shape[0]):
@@ -105,34 +159,12 @@ def register_many(moving, fixed, weights, out):
                 s[r, c] = 0.0
                 for i in range(weights.shape[0]):
                     s[r, c] += weights[i] * (moving[m, i, r] - from_[r]) * (fixed[m, i, c] - to[c])
-        h[0, 0] = s[0, 0] + s[1, 1] + s[2, 2]
-        h[1, 1] = s[0, 0] - s[1, 1] - s[2, 2]
-        h[2, 2] = s[1, 1] - s[0, 0] - s[2, 2]
-        h[3, 3] = s[2, 2] - s[0, 0] - s[1, 1]
-        h[0, 1] = s[1, 2] - s[2, 1]
-        h[0, 2] = s[2, 0] - s[0, 2]
-        h[0, 3] = s[0, 1] - s[1, 0]
-        h[1, 2] = s[0, 1] + s[1, 0]
-        h[1, 3] = s[2, 0] + s[0, 2]
-        h[2, 3] = s[1, 2] + s[2, 1]
-        for r in range(4):
-            for c in range(r):
-                h[r, c] = h[c, r]
-        _largest_eigenvector(h, v, q)
-        w, x, y, z = q[0], q[1], q[2], q[3]
-        out[m, 0, 0] = w * w + x * x - y * y - z * z
-        out[m, 1, 1] = w * w - x * x + y * y - z * z
-        out[m, 2, 2] = w * w - x * x - y * y + z * z
-        out[m, 0, 1] = 2 * (x * y - w * z)
-        out[m, 1, 0] = 2 * (x * y + w * z)
-        out[m, 0, 2] = 2 * (x * z + w * y)
-        out[m, 2, 0] = 2 * (x * z - w * y)
-        out[m, 1, 2] = 2 * (y * z - w * x)
-        out[m, 2, 1] = 2 * (y * z + w * x)
+        rotation_of_sums(s, h, v, q, turn)
         for r in range(3):
             out[m, r, 3] = to[r]
             for c in range(3):
-                out[m, r, 3] -= out[m, r, c] * from_[c]
+                out[m, r, c] = turn[r, c]
+                out[m, r, 3] -= turn[r, c] * from_[c]
             out[m, 3, r] = 0.0
         out[m, 3, 3] = 1.0
 
