@@ -8,6 +8,7 @@ from scipy import stats
 
 from study import published
 from study.audit.findings import Check, Finding
+from study.experiments.kidney_scaling import exponents_table
 
 RISK, TIME = "final_damage_probability", "time_min"
 _KEY = ["table", "tumour", "pos_std_mm", "rot_std_deg"]
@@ -191,22 +192,8 @@ def volume_exponents() -> pd.DataFrame:
     Columns: ``variant, error, exponent, half_width_95``; ``monotone`` counts the series of three levels
     (other error and tumour fixed) that never fall, ``of`` is their number.
     """
-    found = []
-    for variant, table in published.appendix_b().groupby("variant"):
-        levels = pd.get_dummies(table["tumour"]).to_numpy(float)
-        design = np.column_stack([np.log(table["pos_std_mm"]), np.log(table["rot_std_deg"]), levels])
-        target = np.log(table["margin_volume_cm3"]).to_numpy()
-        solution, residual, _, _ = np.linalg.lstsq(design, target, rcond=None)
-        freedom = len(target) - design.shape[1]
-        covariance = residual[0] / freedom * np.linalg.inv(design.T @ design)
-        half = stats.t.ppf(0.975, freedom) * np.sqrt(np.diag(covariance))
-        for k, (error, other) in enumerate((("pos_std_mm", "rot_std_deg"), ("rot_std_deg", "pos_std_mm"))):
-            series = [
-                group.sort_values(error)["margin_volume_cm3"].is_monotonic_increasing
-                for _, group in table.groupby(["tumour", other])
-            ]
-            found.append((variant, error, solution[k], half[k], sum(series), len(series)))
-    return pd.DataFrame(found, columns=["variant", "error", "exponent", "half_width_95", "monotone", "of"])
+    table = exponents_table(published.appendix_b(), ["margin_volume_cm3"])
+    return table.drop(columns=["quantity", "tumours", "note"])
 
 
 def position_matters() -> Finding:

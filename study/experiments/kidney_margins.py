@@ -1,0 +1,289 @@
+"""Tables 4.2 and B.1 to B.9 of Siebold: margins around kidney tumours under surface registration.
+
+A row is one margin. Shapes go by the printed letters: SV, spatially varying; CT, constant thickness. What the
+printed table cannot show is when the iterative closest point fit was stopped, so every margin is grown at
+more than one stopping rule.
+"""
+
+from __future__ import annotations
+
+import os
+import warnings
+import zlib
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from tqdm.auto import tqdm
+
+from study.errors import InputError, PaddedVolumeWarning, StudyError
+from study.experiments.kidney_draws import RememberedDraws, scatter_at
+from study.experiments.margin_table import equal_risk_ratio
+from study.margins import REMOVAL_RISK, GrowthSettings, SafetyMargin, grow_margin
+from study.paths import PROJECT
+from study.registration import SurfaceRegistration
+from study.specimens import KidneyCase, kidney_case, kidney_catalogue, read_kidney_case
+from study.volumes import LabelVolume
+
+#: Letters of the printed tables and what `grow_margin` calls the shape.
+VARIANTS = {"SV": "spatially_varying", "CT": "constant_thickness"}
+
+#: Standard deviations of the start in appendix B: position in mm, tilt in degrees.
+POSITION_STDS = (5.0, 3.33, 2.5)
+ROTATION_STDS = (5.0, 3.33, 2.5)
+
+#: Printed table of each pair of them.
+TABLES = {pair: f"B.{k}" for k, pair in enumerate(product(POSITION_STDS, ROTATION_STDS), start=1)}
+
+
+@dataclass(frozen=True)
+class Run:
+    """When the fit stops, and how the margin grows.
+
+    Attributes
+    ----------
+    title : str
+    loose : bool
+        The fit stops as loosely as the text's seems to have, else when it no longer moves.
+    method : {"exact", "published"}
+        Of `study.margins.GrowthSettings`.
+    """
+
+    title: str
+    loose: bool
+    method: str
+
+
+#: Runs by the names that the notebooks' parameter takes.
+RUNS = {
+    "published": Run("loose stop, printed growth", True, "published"),
+    "loose": Run("loose stop, exact growth", True, "exact"),
+    "converged": Run("converged, exact growth", False, "exact"),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class KidneyMargins:
+    """Margins of several kidneys.
+
+    Attributes
+    ----------
+    rows : DataFrame
+        See `run_kidney_margins`.
+    curves : dict
+        ``(kidney, run, pos_std_mm, rot_std_deg, variant)`` to `SafetyMargin.curve`.
+    """
+
+    rows: pd.DataFrame
+    curves: dict[tuple[str, str, float, float, str], pd.DataFrame] = field(repr=False)
+
+
+def select_kidneys(kidneys: str) -> list[str]:
+    """What a notebook's parameter asks for, each of it something `load_kidney` takes.
+
+    Parameters
+    ----------
+    kidneys : str
+        ``"all"``, how many of the catalogue, names of it separated by commas or blanks, a folder of a kidney,
+        or one that holds such folders.
+
+    Raises
+    ------
+    InputError
+        If the folder holds no kidney, or a name is none of the catalogue.
+    """
+    text, names = str(kidneys).strip(), list(kidney_catalogue())
+    folder = next((p for p in (Path(text), PROJECT / text) if text and p.is_dir()), None)
+    if folder is not None:
+        found = [str(f) for f in (folder, *sorted(folder.iterdir())) if f.is_dir() and _holds_labels(f)]
+        if not found:
+            raise InputError(
+                f"{folder}: expected a folder of a segmented kidney, or of several, found no labels"
+            )
+        return found
+    if text == "all":
+        return names
+    if text.isdigit():
+        if not 1 <= int(text) <= len(names):
+            raise InputError(f"kidneys: expected 1 to {len(names)} of them, got {text}")
+        return names[: int(text)]
+    asked = text.replace(",", " ").split()
+    unknown = [name for name in asked if name not in names]
+    if unknown or not asked:
+        raise InputError(
+            f"kidneys: expected 'all', a number, a folder, or names of {', '.join(names)}; got {kidneys!r}"
+        )
+    return [name for name in names if name in asked]
+
+
+def _holds_labels(folder: Path) -> bool:
+    return any(folder.glob("*.nrrd")) or any(folder.glob("*.nii*"))
+
+
+def load_kidney(name: str) -> KidneyCase:
+    """One kidney, of the catalogue or of a folder."""
+    return kidney_case(name) if name in kidney_catalogue() else read_kidney_case(name)
+
+
+def registration_of(case: KidneyCase, position_std: float, tilt_std_deg: float, loose: bool):
+    """The registration of a kidney's swab to its surface, at one of the two stopping rules.
+
+    Raises
+    ------
+    InputError
+        If the case has no swab, or what `SurfaceRegistration` refuses.
+    """
+    if not len(case.swab):
+        raise InputError(f"{case.name}: expected a kidney with a swab of its surface, got none")
+    make = SurfaceRegistration.published if loose else SurfaceRegistration
+    return make(case.surface, case.swab, position_std=position_std, tilt_std_deg=tilt_std_deg)
+
+
+def margin_row(margin: SafetyMargin, volume: LabelVolume) -> dict[str, object]:
+    """One margin in the columns of the printed tables, and what else says how good it is.
+
+    Parameters
+    ----------
+    margin : SafetyMargin
+    volume : LabelVolume
+        That it was grown in; ``beyond_image`` says whether it needed room beyond.
+    """
+    values = margin.summary()
+    healthy = margin.mask & margin.volume.mask("kidney")
+    return {
+        "margin_volume_mm3": margin.volume_mm3,
+        "final_damage_probability": margin.damage_risk,
+        "mahalanobis_mean": values["mahalanobis_mean"],
+        "mahalanobis_std": values["mahalanobis_std"],
+        "validated_risk": values.get("validation_risk", np.nan),
+        "validated_low": values.get("validation_low", np.nan),
+        "validated_high": values.get("validation_high", np.nan),
+        "healthy_kidney_mm3": np.count_nonzero(healthy) * margin.volume.voxel_volume,
+        "tumour_mm3": np.count_nonzero(margin.structure_mask) * margin.volume.voxel_volume,
+        "beyond_image": margin.volume is not volume,
+    }
+
+
+def _registration_row(model: RememberedDraws, case: KidneyCase, seed: Sequence[int]) -> dict[str, object]:
+    """How the registrations end and scatter; the same for both shapes."""
+    scatter = scatter_at(model.drawn, case.anatomy.points(np.argwhere(case.anatomy.mask("tumour"))))
+    fits = model.model.register(_LOOKED_AT, np.random.default_rng(seed))
+    return {
+        "converged_pct": 100 * float(np.mean(fits.converged)),
+        "iterations_mean": float(np.mean(fits.iterations)),
+        "scatter_mm": scatter.scatter_mm,
+        "bias_mm": scatter.bias_mm,
+    }
+
+
+#: Registrations on which the share that converged and the iterations are counted.
+_LOOKED_AT = 500
+
+
+def _margins_of(
+    case: KidneyCase, run: str, position_std: float, tilt_std_deg: float, settings: GrowthSettings, seed: int
+) -> tuple[list[dict], dict]:
+    model = RememberedDraws(registration_of(case, position_std, tilt_std_deg, RUNS[run].loose))
+    rng = [seed, zlib.crc32(case.name.encode())]  # a kidney's own, whichever others are asked for
+    rows, curves = [], {}
+    for variant, shape in VARIANTS.items():
+        before = model.seconds
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", PaddedVolumeWarning)  # the rows say so
+            margin = grow_margin(
+                case.anatomy, "tumour", model, shape=shape, settings=settings, rng=rng, purpose="remove"
+            )
+        growth = margin.time_s - (model.seconds - before)
+        curves[variant] = margin.curve()
+        rows.append({"variant": variant, **margin_row(margin, case.anatomy), "growth_s": growth})
+    ratio = float("nan")
+    if settings.method == "exact" and all(row["margin_volume_mm3"] > 0 for row in rows):
+        ratio = equal_risk_ratio(*curves.values(), REMOVAL_RISK)
+    shared = _registration_row(model, case, rng)
+    for row in rows:
+        row |= shared | {"sv_over_ct_at_equal_risk": ratio, "registration_s": model.seconds}
+        row["time_min"] = (row["registration_s"] + row["growth_s"]) / 60
+    return rows, curves
+
+
+def run_kidney_margins(
+    kidneys: Sequence[str],
+    position_stds: Iterable[float] = POSITION_STDS,
+    rotation_stds: Iterable[float] = ROTATION_STDS,
+    runs: Sequence[str] = ("published", "converged"),
+    registrations: int = 5000,
+    validation_registrations: int = 5000,
+    seed: int = 0,
+) -> KidneyMargins:
+    """Grow the margins of all combinations.
+
+    Parameters
+    ----------
+    kidneys : sequence of str
+        As of `select_kidneys`; numbered from 1 as tumours.
+    position_stds, rotation_stds : iterable of float
+        Standard deviations of the start of a registration, mm and degrees.
+    runs : sequence of str
+        Of `RUNS`.
+    registrations, validation_registrations : int
+        N_r (4.3.1), and fresh ones for the validated risk.
+    seed : int
+        The registrations of a kidney follow from it and the kidney's name: the same random numbers, scaled,
+        at all errors, so that errors are compared on the same luck.
+
+    Returns
+    -------
+    KidneyMargins
+        Rows: ``tumour`` (number), ``kidney``, ``run, pos_std_mm, rot_std_deg, table`` (printed, or ""),
+        ``variant``; ``margin_volume_mm3, final_damage_probability, mahalanobis_mean, mahalanobis_std,
+        time_min`` as printed; ``validated_risk, validated_low, validated_high`` on fresh registrations;
+        ``healthy_kidney_mm3`` in the margin; ``tumour_mm3``; ``beyond_image``: the margin needed room beyond
+        it; ``sv_over_ct_at_equal_risk``, see `study.experiments.margin_table.equal_risk_ratio`;
+        ``converged_pct, iterations_mean`` of the fits;
+        ``scatter_mm, bias_mm`` of the registrations over the tumour's voxels; ``registration_s``, spent once
+        for both shapes, and ``growth_s``; ``time_min`` is their sum.
+
+    Raises
+    ------
+    InputError
+        If there is no kidney, an unknown run, or an error is not positive.
+    """
+    unknown = sorted(set(runs) - set(RUNS))
+    pairs = list(product([float(s) for s in position_stds], [float(s) for s in rotation_stds]))
+    if not kidneys or unknown or not runs or not pairs:
+        raise InputError(
+            f"kidneys, runs, standard deviations: expected at least one of each and runs of {list(RUNS)}, "
+            f"got {list(kidneys)}, {unknown or list(runs)}, {pairs}"
+        )
+    of_run = {
+        run: GrowthSettings.for_removal(
+            RUNS[run].method,
+            registrations=registrations,
+            violation_registrations=registrations,
+            validation_registrations=validation_registrations,
+        )
+        for run in runs
+    }
+    rows, curves = [], {}
+    silent = bool(os.environ.get("STUDY_BATCH"))
+    with tqdm(
+        total=len(kidneys) * len(runs) * len(pairs), desc="margins", leave=False, disable=silent
+    ) as bar:
+        for number, name in enumerate(kidneys, start=1):
+            case = load_kidney(name)
+            for run, (position, rotation) in product(of_run, pairs):
+                try:
+                    found, of_variant = _margins_of(case, run, position, rotation, of_run[run], seed)
+                except StudyError as error:  # which of many it was is lost otherwise
+                    error.add_note(f"{name}, {RUNS[run].title}, {position:g} mm, {rotation:g} degrees")
+                    raise
+                which = {"tumour": number, "kidney": case.name, "run": run, "pos_std_mm": position}
+                which |= {"rot_std_deg": rotation, "table": TABLES.get((position, rotation), "")}
+                rows += [which | row for row in found]
+                for variant, curve in of_variant.items():
+                    curves[case.name, run, position, rotation, variant] = curve
+                bar.update()
+    return KidneyMargins(pd.DataFrame(rows), curves)
