@@ -1,4 +1,4 @@
-"""Safety margins: tissue that registration error puts at risk, to spare or to remove (Siebold, chapters 3, 4)."""
+"""Safety margins: tissue that registration error puts at risk (Siebold, chapters 3 and 4)."""
 
 from study.margins.growth import grow_margin
 from study.margins.margin import SafetyMargin

@@ -29,6 +29,8 @@ from study.margins.violations import grow_by_violations
 from study.registration.sources import ErrorSource, displacement_moments
 from study.volumes import LabelVolume
 
+_EXACT = {"protect": grow_exactly, "remove": grow_to_remove, "stay_inside": grow_to_stay_inside}
+
 
 def grow_margin(
     volume: LabelVolume,
@@ -130,10 +132,7 @@ def grow_margin(
         grown = grow(task, growing, validating)
     else:
         allowed = allowed_hits(settings.registrations, acceptable_risk, settings.confidence)
-        grow = {"protect": grow_exactly, "remove": grow_to_remove, "stay_inside": grow_to_stay_inside}[
-            purpose
-        ]
-        grown = grow(task, allowed, growing, validating)
+        grown = _EXACT[purpose](task, allowed, growing, validating)
     found = vars(grown)
     if grown.volume is None:
         found |= {"volume": volume, "structure_mask": mask}

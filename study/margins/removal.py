@@ -34,8 +34,7 @@ _WIDER = 1.3
 def grow_to_remove(
     task: Task, allowed: int, growing: np.random.Generator, validating: np.random.Generator
 ) -> Grown:
-    """The smallest margin out of which at most `allowed` of the simulated registrations make the structure
-    show.
+    """The smallest margin that the structure leaves in at most `allowed` of the simulated registrations.
 
     Parameters
     ----------
@@ -86,8 +85,7 @@ def grow_to_remove(
 def grow_to_stay_inside(
     task: Task, allowed: int, growing: np.random.Generator, validating: np.random.Generator
 ) -> Grown:
-    """The smallest rim of the structure to avoid, so that at most `allowed` registrations lose what is
-    inside.
+    """The smallest rim to avoid, so that at most `allowed` registrations lose any of what is inside.
 
     Parameters
     ----------
@@ -113,9 +111,9 @@ def grow_to_stay_inside(
     size = int(np.partition(needs, len(needs) - 1 - allowed)[len(needs) - 1 - allowed])
     if size == len(order):
         raise MarginError(
-            f"stay_inside: expected a region that lands in the structure in all but {allowed} of {len(needs)} "
-            f"registrations; {np.count_nonzero(needs == size)} of them lose even its innermost voxel, "
-            f"{distances.max():.3g} {task.unit} from the surface"
+            f"stay_inside: expected a region that lands in the structure in all but {allowed} of "
+            f"{len(needs)} registrations; {np.count_nonzero(needs == size)} of them lose even its "
+            f"innermost voxel, {distances.max():.3g} {task.unit} from the surface"
         )
     margin = np.zeros(region.shape, bool)
     margin.reshape(-1)[ranking.order[:size]] = True
@@ -165,6 +163,6 @@ def _reach(task: Task, cut: float) -> float:
             return reach
         reach = 1.02 * wider
     raise MarginError(
-        f"remove: expected an error that grows by less than a millimetre a millimetre away from the structure; "
-        f"{cut:.3g} standard deviations of it reach {reach:.3g} mm and more"
+        f"remove: expected an error that grows by less than a millimetre a millimetre away from the "
+        f"structure; {cut:.3g} standard deviations of it reach {reach:.3g} mm and more"
     )

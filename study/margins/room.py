@@ -58,8 +58,8 @@ def with_room(
     empty = next((name for name in _EMPTY if name in volume.names), names.get(0))
     if empty is None:
         raise GeometryError(
-            f"room: a margin of {reach:.1f} mm leaves the volume by {added.tolist()} voxels (i, j, k; low and "
-            f"high end), and there is no label 'background', 'air' or 0 to pad it with, only "
+            f"room: a margin of {reach:.1f} mm leaves the volume by {added.tolist()} voxels (i, j, k; low "
+            f"and high end), and there is no label 'background', 'air' or 0 to pad it with, only "
             f"{sorted(volume.names)}"
         )
     labels = np.pad(volume.labels, added, constant_values=volume.names[empty])

@@ -152,9 +152,9 @@ def _reach(task: Task, transforms: np.ndarray) -> float:
 def _stalled(rows: list[dict], settings: GrowthSettings, acceptable_risk: float) -> str:
     last = rows[-1]
     text = (
-        f"growth stalled: expected an overall damage risk of at most {acceptable_risk}, got {last['risk']:.4g} "
-        f"with {last['margin_voxels']} voxels in the margin after {len(rows)} steps (most_steps: "
-        f"{settings.most_steps})"
+        f"growth stalled: expected an overall damage risk of at most {acceptable_risk}, got "
+        f"{last['risk']:.4g} with {last['margin_voxels']} voxels in the margin after {len(rows)} "
+        f"steps (most_steps: {settings.most_steps})"
     )
     if last["counted_registrations"]:
         text += (
