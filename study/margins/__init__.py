@@ -13,6 +13,7 @@ from study.margins.settings import (
     SHAPES,
     GrowthSettings,
 )
+from study.margins.union import union_of_margins
 
 __all__ = [
     "ACCEPTABLE_RISKS",
@@ -27,4 +28,5 @@ __all__ = [
     "grow_margin",
     "least_registrations",
     "reduced_target",
+    "union_of_margins",
 ]

@@ -116,6 +116,8 @@ class SafetyMargin:
             third of the acceptable risk at least). Published method: its steps.
         """
         step = self.volume.voxel_volume
+        if self.choice is None and self.history is None:
+            raise MarginError("curve: expected a margin that was grown, got a union of several")
         if self.choice is None:
             table = self.history[["margin_voxels", "risk"]].copy()
             table.insert(1, "volume_mm3", table["margin_voxels"] * step)
