@@ -3,6 +3,7 @@
 from study.specimens.kidney import KIDNEY_NAMES, kidney
 from study.specimens.kidney_cases import KidneyCase, kidney_surface, read_kidney_case
 from study.specimens.kidney_catalogue import kidney_case, kidney_catalogue, load_kidney
+from study.specimens.kidney_measures import exophytic_share, tumour_sections
 from study.specimens.kidney_parameters import KidneyParameters
 from study.specimens.kidney_raw import affected_kidney
 from study.specimens.kidney_swab import SwabRule, trace_swab
@@ -27,6 +28,7 @@ __all__ = [
     "TemporalBoneParameters",
     "affected_kidney",
     "catalogue",
+    "exophytic_share",
     "fiducial_ring",
     "kidney",
     "kidney_case",
@@ -40,4 +42,5 @@ __all__ = [
     "structure_mask",
     "temporal_bone",
     "trace_swab",
+    "tumour_sections",
 ]

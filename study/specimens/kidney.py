@@ -9,7 +9,7 @@ from study.errors import GeometryError
 from study.specimens.kidney_parameters import KidneyParameters
 from study.specimens.kidney_room import with_room
 from study.specimens.orientation import lateral_direction
-from study.specimens.shapes import Grid, random_field
+from study.specimens.shapes import Grid, carve_tube, random_field
 from study.volumes import LabelVolume
 
 #: Labels of a kidney.
@@ -20,8 +20,10 @@ KIDNEY_NAMES = {"background": 0, "kidney": 1, "tumour": 2}
 _LATTICE = ((-110.0,) * 3, (110.0,) * 3)
 _LOBES = (15.0, 7.0)  # mm between the points of the lattices of large and small lobes
 _SMALL_LOBES = 0.3  # height of the small lobes as a share of that of the large ones
+_SWELL = 10.0  # mm; farther than lobes and claw reach beyond the smooth shapes
 _LIP = 4.0  # mm; radius of the rounding of the hilum's lips, about
-_POLE_POWER = 2.4  # an ellipsoid has 2; more makes fuller poles
+_CLAW = 5.0  # mm; the same between kidney and tumour
+_POLE_POWER = 2.5  # an ellipsoid has 2; more makes fuller poles
 
 
 def kidney(parameters: KidneyParameters | None = None, seed: int = 0, spacing: float = 1.0) -> LabelVolume:
@@ -52,20 +54,27 @@ def kidney(parameters: KidneyParameters | None = None, seed: int = 0, spacing: f
     p = KidneyParameters() if parameters is None else parameters
     if not 0.4 <= spacing <= 3.0:
         raise GeometryError(f"spacing: expected 0.4 to 3 mm, got {spacing}")
-    reach = 0.5 * p.length + 0.5 * p.tumour_diameter + 12.0
-    grid = Grid.covering((-reach,) * 3, (reach,) * 3, spacing)
+    centre, radius = _tumour_centre(p), 0.5 * p.tumour_diameter
+    around = radius + _SWELL
+    half = np.array([0.5 * p.width + p.bend, 0.5 * p.thickness, 0.5 * p.length]) + _SWELL
+    corner = half @ np.abs(_axes(p))
+    grid = Grid.covering(np.minimum(-corner, centre - around), np.maximum(corner, centre + around), spacing)
     body = _body(p, *_local(p, grid.open_axes))
     for part, (pitch, share) in enumerate(zip(_LOBES, (1.0, _SMALL_LOBES), strict=True)):
         body -= np.float32(share * p.lobe_height) * _lobes(seed, part, grid, pitch)
-    labels = (body < 0).astype(np.uint8)
+    calyces = np.full(grid.shape, np.float32(_LIP), np.float32)
+    for points, radii in _calyces(p):
+        carve_tube(calyces, grid, points @ _axes(p), radii, _LIP)
+    body = _smooth_maximum(body, -calyces, _LIP)
 
-    centre = _tumour_centre(p)
-    radius = 0.5 * p.tumour_diameter
-    box = grid.box(centre - radius - 9, centre + radius + 9)
-    part = grid.within(box)
-    offset = sum((axis - c) ** 2 for axis, c in zip(part.open_axes, centre, strict=True))
-    lobes = np.float32(p.tumour_lobe_height) * _lobes(seed, len(_LOBES), part, 0.45 * radius)
-    labels[box][np.sqrt(offset) - lobes < radius] = KIDNEY_NAMES["tumour"]
+    box = grid.box(centre - around, centre + around)
+    near = grid.within(box)
+    tumour = np.sqrt(sum((axis - c) ** 2 for axis, c in zip(near.open_axes, centre, strict=True)))
+    tumour -= radius + np.float32(p.tumour_lobe_height) * _lobes(seed, len(_LOBES), near, 0.6 * radius)
+    # Parenchyma is drawn up a little where the tumour leaves it.
+    body[box] = -_smooth_maximum(-body[box], -tumour, _CLAW)
+    labels = (body < 0).astype(np.uint8)
+    labels[box][tumour < 0] = KIDNEY_NAMES["tumour"]
 
     if p.side == "left":
         labels = labels[::-1]
@@ -124,6 +133,18 @@ def _sinus(p: KidneyParameters, u, v, w) -> np.ndarray:
     return norm * (norm - 1) / np.maximum(slope, 1e-6)
 
 
+def _calyces(p: KidneyParameters) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Centre lines, (n, 3) mm in the kidney's own axes, and radii of the calyces that leave the sinus."""
+    floor = -0.5 * p.width + 0.33 * p.bend + 0.75 * p.sinus_depth
+    root, tip = 0.3 * p.sinus_width, 0.2 * p.sinus_width
+    out = []
+    for sign, forward in ((1.0, 1.0), (0.0, -2.0), (-1.0, 0.0)):
+        start = (floor - 0.3 * p.sinus_depth, 0.0, 0.3 * sign * p.sinus_length)
+        end = (floor + 0.1 * p.width * (1 - abs(sign)), forward, 0.3 * sign * p.length)
+        out.append((np.array([start, end]), np.array([root, tip])))
+    return out
+
+
 def _smooth_maximum(a, b, width: float):
     """The larger of two fields, rounded where they differ by less than `width`; never below either."""
     close = np.maximum(width - np.abs(a - b), 0) / width
@@ -138,7 +159,7 @@ def _tumour_centre(p: KidneyParameters) -> np.ndarray:
     outward = np.array([np.cos(angle), np.sin(angle), 0.0])
     # Outside, the last crossing of the capsule counts: towards the hilum the sinus makes more of them.
     steps = np.linspace(80.0, 0.0, 801)
-    inside = [_body(p, *(middle + step * outward)) < 0 for step in steps]
+    inside = _body(p, *(middle[:, None] + outward[:, None] * steps)) < 0
     last = int(np.argmax(inside))
     capsule = brentq(lambda s: _body(p, *(middle + s * outward)), steps[last], steps[last - 1])
     point = middle + capsule * outward

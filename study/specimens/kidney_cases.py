@@ -16,6 +16,7 @@ from study.errors import FileFormatError, LabelError
 from study.specimens.case_files import json_object, label_file
 from study.specimens.kidney import KIDNEY_NAMES
 from study.specimens.kidney_checks import checked_surface, checked_swab, checked_tumour
+from study.specimens.kidney_measures import exophytic_share, tumour_sections
 from study.specimens.kidney_raw import affected_kidney
 from study.specimens.kidney_swab import SwabRule, trace_swab
 from study.specimens.orientation import SIDES
@@ -77,11 +78,26 @@ class KidneyCase:
         """(3,) mm: mean of the tumour's voxel centres."""
         return self.anatomy.points(np.argwhere(self.anatomy.mask("tumour"))).mean(axis=0)
 
+    def summary(self) -> pd.Series:
+        """Sizes of kidney and tumour; the largest section of the tumour is in mm."""
+        return pd.Series(
+            {
+                "side": self.side,
+                "kidney_cm3": self.anatomy.volume_mm3("kidney") / 1000,
+                "tumour_cm3": self.anatomy.volume_mm3("tumour") / 1000,
+                "largest_section_mm": tumour_sections(self.anatomy).max(),
+                "exophytic_share": exophytic_share(self.anatomy),
+                "surface_vertices": len(self.surface.vertices),
+                "swab_points": len(self.swab),
+            },
+            name=self.name,
+        )
+
 
 def kidney_surface(
     anatomy: LabelVolume, smooth_mm: float = SURFACE_SMOOTHING, pitch_mm: float = SURFACE_PITCH
 ) -> trimesh.Trimesh:
-    """The outer surface of kidney and tumour together: one closed body without cavities.
+    """The outer surface of kidney and tumour together, closed and without cavities.
 
     Parameters
     ----------
@@ -103,12 +119,16 @@ def kidney_surface(
     volume = anatomy.with_labels(whole.astype(np.uint8), {"background": 0, "kidney with tumour": 1})
     mesh = surface_of(volume, "kidney with tumour", smooth_mm, pitch_mm)
     if mesh.body_count > 1:
-        # Smoothing may cut off a bridge, and leave what is no longer open to the outside.
-        mesh = max(mesh.split(only_watertight=False), key=lambda body: body.volume)
+        # Specks, and cavities (of negative volume) that smoothing has cut off from the outside.
+        bodies = mesh.split(only_watertight=False)
+        least = 0.01 * max(body.volume for body in bodies)
+        mesh = trimesh.util.concatenate([body for body in bodies if body.volume > least])
     return checked_surface(mesh, "surface of the labels")
 
 
-def read_kidney_case(path: str | os.PathLike[str], *, labels: str | None = None) -> KidneyCase:
+def read_kidney_case(
+    path: str | os.PathLike[str], *, labels: str | None = None, aligned: bool = True
+) -> KidneyCase:
     """Read a segmented kidney with a tumour, prepared or as published.
 
     Parameters
@@ -119,6 +139,9 @@ def read_kidney_case(path: str | os.PathLike[str], *, labels: str | None = None)
         (``case``, ``side``), ``kidney_with_tumour.stl``, ``swab.csv`` (x, y, z in mm).
     labels : str, optional
         Name of the label file in the folder.
+    aligned : bool
+        Whether ``swab.csv`` is in the frame of the image. If not, its points may lie anywhere, and
+        `study.registration.align_surface` finds where they belong.
 
     Returns
     -------
@@ -156,8 +179,10 @@ def read_kidney_case(path: str | os.PathLike[str], *, labels: str | None = None)
     surface = swab = None
     if (folder / _SURFACE).is_file():
         surface = checked_surface(read_surface(folder / _SURFACE), str(folder / _SURFACE), anatomy)
+        if surface.volume < 0:
+            surface.invert()
     if (folder / _SWAB).is_file():
-        swab = checked_swab(_points(folder / _SWAB), str(folder / _SWAB), anatomy)
+        swab = checked_swab(_points(folder / _SWAB), str(folder / _SWAB), anatomy, aligned)
     return KidneyCase(str(case.get("case", folder.name)), side, anatomy, surface, swab)
 
 

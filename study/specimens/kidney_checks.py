@@ -15,7 +15,7 @@ FARTHEST = 10.0
 #: mm: farther from every kidney voxel than this a tumour is nobody's.
 FARTHEST_TUMOUR = 5.0
 #: Extent of a swab as a share of the kidney's.
-SMALLEST_PART, LARGEST_PART = 0.15, 1.5
+SMALLEST_PART, LARGEST_PART = 0.1, 1.5
 #: Spread across a line over that along it, below which points count as collinear.
 COLLINEAR = 0.01
 
@@ -56,13 +56,13 @@ def checked_surface(
         if max(np.abs(surface.bounds[0] - low).max(), np.abs(surface.bounds[1] - high).max()) > FARTHEST:
             raise GeometryError(
                 f"{source}: expected a surface in the frame of the labels, in mm, "
-                f"from {low.round(1).tolist()} to {high.round(1).tolist()}; got one from {surface.bounds[0].round(1).tolist()} "
-                f"to {surface.bounds[1].round(1).tolist()}"
+                f"from {low.round(1).tolist()} to {high.round(1).tolist()}; got one "
+                f"from {surface.bounds[0].round(1).tolist()} to {surface.bounds[1].round(1).tolist()}"
             )
     return surface
 
 
-def checked_swab(swab: np.ndarray, source: str, anatomy: LabelVolume) -> np.ndarray:
+def checked_swab(swab: np.ndarray, source: str, anatomy: LabelVolume, aligned: bool = True) -> np.ndarray:
     """Return a swab if it can be one of a kidney's surface.
 
     Parameters
@@ -73,6 +73,8 @@ def checked_swab(swab: np.ndarray, source: str, anatomy: LabelVolume) -> np.ndar
         What the error calls it.
     anatomy : LabelVolume
         With ``kidney`` and ``tumour``.
+    aligned : bool
+        Whether the points are in the frame of the labels, so that they have to lie on the surface.
 
     Raises
     ------
@@ -100,6 +102,8 @@ def checked_swab(swab: np.ndarray, source: str, anatomy: LabelVolume) -> np.ndar
             f"{source}: expected points that do not lie on a line, got {len(swab)} that span "
             f"{part:.1f} mm along it and {spread[1] / np.sqrt(len(swab)):.2g} mm (RMS) across"
         )
+    if not aligned:
+        return swab
     inside = anatomy.mask("kidney", "tumour")
     rim = anatomy.points(np.argwhere(inside & ~ndimage.binary_erosion(inside)))
     distance = float(np.median(cKDTree(rim).query(swab)[0]))
@@ -107,7 +111,8 @@ def checked_swab(swab: np.ndarray, source: str, anatomy: LabelVolume) -> np.ndar
         raise GeometryError(
             f"{source}: expected points within {FARTHEST} mm of the kidney's surface (median), in the frame "
             f"of the labels; got {distance:.1f} mm, around {swab.mean(axis=0).round(1).tolist()} "
-            f"where the kidney is around {rim.mean(axis=0).round(1).tolist()}"
+            f"where the kidney is around {rim.mean(axis=0).round(1).tolist()} (a swab in another frame "
+            "is read with aligned=False)"
         )
     return swab
 

@@ -14,10 +14,10 @@ from study.specimens.orientation import check_side
 #: medially and backwards, the hilum facing forwards by about 30 degrees) and four segmented ones of a
 #: public set; no survey was fitted.
 RANGES: dict[str, tuple[float, float]] = {
-    "length": (106.0, 118.0),
-    "width": (56.0, 64.0),
-    "thickness": (41.0, 47.0),
-    "bend": (9.0, 14.0),
+    "length": (106.0, 120.0),
+    "width": (58.0, 66.0),
+    "thickness": (43.0, 50.0),
+    "bend": (13.0, 20.0),
     "upper_pole": (-0.06, 0.14),
     "sinus_length": (34.0, 44.0),
     "sinus_depth": (22.0, 28.0),
@@ -78,15 +78,15 @@ class KidneyParameters:
     """
 
     side: str = "right"
-    length: float = 112.0
-    width: float = 60.0
-    thickness: float = 44.0
-    bend: float = 11.5
+    length: float = 113.0
+    width: float = 62.0
+    thickness: float = 46.5
+    bend: float = 16.5
     upper_pole: float = 0.06
     sinus_length: float = 39.0
     sinus_depth: float = 25.0
     sinus_width: float = 14.0
-    lobe_height: float = 1.0
+    lobe_height: float = 1.05
     medial_tilt_deg: float = 13.0
     posterior_tilt_deg: float = 23.5
     hilum_turn_deg: float = 29.0
@@ -94,7 +94,7 @@ class KidneyParameters:
     tumour_depth: float = 0.0
     tumour_height: float = 0.4
     tumour_angle_deg: float = -30.0
-    tumour_lobe_height: float = 0.6
+    tumour_lobe_height: float = 1.0
 
     def __post_init__(self) -> None:
         check_side(self.side)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy import ndimage
 
-from study.errors import GeometryError
+from study.errors import GeometryError, LabelError
 from study.specimens.kidney_checks import FARTHEST_TUMOUR
 from study.specimens.kidney_room import with_room
 from study.volumes import LabelVolume, reoriented, resampled
@@ -17,7 +17,8 @@ def affected_kidney(scan: LabelVolume, source: str = "scan", spacing: float = 1.
     """Take the kidney that carries the largest tumour out of a scan.
 
     The other kidney and loose voxels become background; further tumours in the same kidney become
-    kidney, for they are part of what is traced but not what is removed. So do cavities inside.
+    kidney, for they are part of what is traced but not of what is removed. So do cavities inside and
+    labels other than those two, such as cysts.
 
     Parameters
     ----------
@@ -39,8 +40,12 @@ def affected_kidney(scan: LabelVolume, source: str = "scan", spacing: float = 1.
     Raises
     ------
     GeometryError
-        If no kidney lies within `FARTHEST_TUMOUR` of the tumour.
+        If no kidney lies within `FARTHEST_TUMOUR` of the tumour, or it is too small for the new voxels.
+    LabelError
+        If no voxel is tumour.
     """
+    if not scan.mask("tumour").any():
+        raise LabelError(f"{source}: expected voxels of tumour, got none")
     volume = _around_labels(reoriented(scan))
     tumour, kidney = (volume.names[name] for name in ("tumour", "kidney"))
     tumours, _ = ndimage.label(volume.labels == tumour, _CORNERS)
@@ -50,17 +55,25 @@ def affected_kidney(scan: LabelVolume, source: str = "scan", spacing: float = 1.
     own = int(organs[largest][0])
     if sizes[own] == 0:
         own = _nearest_kidney(volume, largest, organs, sizes, source)
+    side = _side(volume, organs, own, sizes)
     keep = (organs == own) | largest
     labels = np.where(keep, kidney, 0).astype(np.uint8)
     labels[largest] = tumour
     one = with_room(volume.with_labels(labels), kidney_room=2.0 * spacing, tumour_room=2.0 * spacing)
     one = resampled(one, spacing)
+    kept = one.labels == tumour
+    if not kept.any():
+        raise GeometryError(
+            f"{source}: expected a tumour that is seen in voxels of {spacing:g} mm, got one of "
+            f"{np.count_nonzero(largest)} voxels of {' x '.join(f'{step:.3g}' for step in volume.spacing)} mm"
+        )
     # What is thinner than a voxel may have come loose; cavities are part of the kidney.
     found, _ = ndimage.label(one.labels > 0, _CORNERS)
-    body = found == 1 + int(np.argmax(np.bincount(found.ravel())[1:]))
+    sizes = np.bincount(found.ravel())
+    body = np.isin(found, [1 + int(np.argmax(sizes[1:])), *np.unique(found[kept])])
     labels = np.where(body, one.labels, 0).astype(np.uint8)
     labels[ndimage.binary_fill_holes(body) & ~body] = kidney
-    return with_room(one.with_labels(labels)), _side(volume, organs, own, sizes)
+    return with_room(one.with_labels(labels)), side
 
 
 def _around_labels(volume: LabelVolume) -> LabelVolume:

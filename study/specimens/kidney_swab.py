@@ -106,10 +106,7 @@ def trace_swab(surface: trimesh.Trimesh, near: np.ndarray, rule: SwabRule | None
     view = depth_map(surface, rule.looking, rule.pixel_mm)
     patch, area = _exposed(view, rule)
 
-    # The long axis as it is seen, and the direction across it.
-    long_axis = surface.principal_inertia_vectors[0] @ view.axes[:2].T
-    along = long_axis / np.linalg.norm(long_axis)
-    along = along * (1.0 if along[1] >= 0 else -1.0)
+    along = _long_axis(surface, view.axes[:2])
     turn = np.array([[along[1], -along[0]], along])  # picture -> (across, along)
     place = view.centres(patch) @ turn.T
     low, high = _window(place[:, 1], area[patch], float((view.axes[:2] @ near) @ along), rule.share)
@@ -144,6 +141,15 @@ def _exposed(view: DepthMap, rule: SwabRule) -> tuple[np.ndarray, np.ndarray]:
         )
     sizes = ndimage.sum_labels(area, pieces, np.arange(1, count + 1))
     return pieces == 1 + int(np.argmax(sizes)), area
+
+
+def _long_axis(surface: trimesh.Trimesh, picture: np.ndarray) -> np.ndarray:
+    """(2,) unit vector along which the surface spreads most in the picture, upwards."""
+    flat = surface.triangles_center @ picture.T
+    weights = surface.area_faces / surface.area
+    flat = (flat - weights @ flat) * np.sqrt(weights)[:, None]
+    along = np.linalg.svd(flat, full_matrices=False)[2][0]
+    return along if along[1] >= 0 else -along
 
 
 def _window(along: np.ndarray, area: np.ndarray, wanted: float, share: float) -> tuple[float, float]:
