@@ -12,6 +12,7 @@ from study.registration.sources import (
     RobotError,
     displacement_moments,
 )
+from study.registration.surface import SurfaceRegistration
 
 __all__ = [
     "FLE_RMS",
@@ -24,6 +25,7 @@ __all__ = [
     "RigidFit",
     "RobotError",
     "SurfaceFits",
+    "SurfaceRegistration",
     "SurfaceTree",
     "displacement_moments",
     "first_order_tre_covariance",
