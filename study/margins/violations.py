@@ -29,7 +29,7 @@ _CUBE = np.ones((3, 3, 3), bool)
 _LOST = 1e-3
 
 
-class _Violations:
+class Violations:
     """Batches of registrations, of which violations are counted; the first are those growth stops on."""
 
     def __init__(self, task: Task, transforms: np.ndarray, rng: np.random.Generator) -> None:
@@ -74,12 +74,12 @@ def grow_by_violations(task: Task, growing: np.random.Generator, validating: np.
     """
     settings = task.settings
     transforms = task.registrations(growing)
-    reach = _reach(task, transforms)
+    reach = reach_of_most(task, transforms)
     volume, mask, added = with_room(task.volume, task.mask, reach)
     region = Region.around(mask, volume, reach)
     by_distance = task.unit == "mm"
     distances = np.full(region.shape, np.nan)
-    violations = _Violations(task, transforms, growing)
+    violations = Violations(task, transforms, growing)
     union, rows, farthest = region.solid.copy(), [], 0.0
     for _ in range(settings.most_steps):
         estimate = protrusion_risk(region, union, transforms)
@@ -116,7 +116,7 @@ def grow_by_violations(task: Task, growing: np.random.Generator, validating: np.
             farthest = max(farthest, float(distances.reshape(-1)[chosen].max()))
         before = np.count_nonzero(union)
         union.reshape(-1)[chosen] = 1
-        union |= _closed(union)
+        union |= closed(union)
         row["transferred"] = int(np.count_nonzero(union) - before)
     else:
         raise MarginError(_stalled(rows, settings, task.acceptable_risk))
@@ -136,12 +136,12 @@ def grow_by_violations(task: Task, growing: np.random.Generator, validating: np.
     )
 
 
-def _closed(union: np.ndarray) -> np.ndarray:
+def closed(union: np.ndarray) -> np.ndarray:
     """Morphological closing by a cube of three voxels; the edge of the box takes nothing away."""
     return ndimage.binary_closing(np.pad(union, 1), _CUBE)[1:-1, 1:-1, 1:-1].astype(np.uint8)
 
 
-def _reach(task: Task, transforms: np.ndarray) -> float:
+def reach_of_most(task: Task, transforms: np.ndarray) -> float:
     """How far registrations move the structure, mm, but for the few that are lost."""
     centre = task.volume.points(np.argwhere(task.mask)).mean(axis=0)
     moved = transforms[:, :3, :3] @ centre + transforms[:, :3, 3] - centre
