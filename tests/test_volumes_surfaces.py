@@ -231,3 +231,27 @@ def test_real_bone_surface_is_closed():
     assert mesh.is_watertight
     back = volume_from_surface(mesh, like=volume, name="bone")
     assert (back.mask("bone") == volume.mask("label_1")).all()
+
+
+def test_surface_on_another_lattice():
+    i, j, k = np.indices((50, 50, 34))
+    ball = (i - 25) ** 2 + (j - 25) ** 2 + (1.5 * (k - 17)) ** 2 <= 20**2
+    volume = LabelVolume(ball.astype(np.uint8), np.diag([1, 1, 1.5, 1]), {"air": 0, "ball": 1})
+    meshes = [surface(volume, "ball", 1.0, pitch) for pitch in (None, 0.8, 2.0, 3.7)]
+    for mesh in meshes:
+        assert mesh.is_watertight
+        assert mesh.is_winding_consistent
+        assert mesh.volume == pytest.approx(meshes[0].volume, rel=0.03)
+        away = np.linalg.norm(mesh.vertices - [25, 25, 25.5], axis=1)
+        assert np.abs(away - 20).max() < 0.8
+    assert [
+        len(mesh.vertices) * pitch**2 / mesh.area
+        for mesh, pitch in zip(meshes[1:], (0.8, 2.0, 3.7), strict=True)
+    ] == pytest.approx([1.5] * 3, rel=0.1)
+    assert np.array_equal(surface(volume, "ball", 1.0).vertices, meshes[0].vertices)
+    for pitch in (0.0, -1.0, np.nan, np.inf):
+        with pytest.raises(InputError, match="pitch_mm"):
+            surface(volume, "ball", 1.0, pitch)
+    dot = LabelVolume((i + j + k == 67).astype(np.uint8), np.eye(4), {"air": 0, "dot": 1})
+    with pytest.raises(InputError, match="mm, which leaves nothing"):
+        surface(dot, "dot", 0.0, 40.0)

@@ -44,7 +44,8 @@ def checked_surface(
     if not np.isfinite(surface.vertices).all():
         bad = np.count_nonzero(~np.isfinite(surface.vertices).all(axis=1))
         raise GeometryError(f"{source}: expected finite coordinates in mm, got {bad} vertices that are not")
-    counts = np.unique(surface.edges_sorted, axis=0, return_counts=True)[1]
+    edges = surface.edges_sorted.astype(np.int64)
+    counts = np.unique(edges[:, 0] * len(surface.vertices) + edges[:, 1], return_counts=True)[1]
     holes, joins = np.count_nonzero(counts == 1), np.count_nonzero(counts > 2)
     if holes or joins:
         raise GeometryError(
@@ -52,7 +53,8 @@ def checked_surface(
             f"with {holes} edges at holes and {joins} edges that join more than two triangles"
         )
     if anatomy is not None:
-        low, high = _bounds(anatomy)
+        rim = _rim(anatomy, "kidney", "tumour")
+        low, high = rim.min(axis=0), rim.max(axis=0)
         if max(np.abs(surface.bounds[0] - low).max(), np.abs(surface.bounds[1] - high).max()) > FARTHEST:
             raise GeometryError(
                 f"{source}: expected a surface in the frame of the labels, in mm, "
@@ -89,7 +91,8 @@ def checked_swab(swab: np.ndarray, source: str, anatomy: LabelVolume, aligned: b
         raise GeometryError(
             f"{source}: expected finite coordinates in mm, got {bad} of {len(swab)} points that are not"
         )
-    low, high = _bounds(anatomy)
+    rim = _rim(anatomy, "kidney", "tumour")
+    low, high = rim.min(axis=0), rim.max(axis=0)
     whole, part = np.linalg.norm(high - low), np.linalg.norm(np.ptp(swab, axis=0))
     if not SMALLEST_PART * whole <= part <= LARGEST_PART * whole:
         raise GeometryError(
@@ -104,8 +107,6 @@ def checked_swab(swab: np.ndarray, source: str, anatomy: LabelVolume, aligned: b
         )
     if not aligned:
         return swab
-    inside = anatomy.mask("kidney", "tumour")
-    rim = anatomy.points(np.argwhere(inside & ~ndimage.binary_erosion(inside)))
     distance = float(np.median(cKDTree(rim).query(swab)[0]))
     if distance > FARTHEST:
         raise GeometryError(
@@ -125,8 +126,7 @@ def checked_tumour(anatomy: LabelVolume, source: str) -> None:
     GeometryError
         If no kidney voxel lies within `FARTHEST_TUMOUR` of it.
     """
-    near = ndimage.distance_transform_edt(~anatomy.mask("kidney"), sampling=anatomy.spacing)
-    nearest = float(near[anatomy.mask("tumour")].min())
+    nearest = _gap(anatomy)
     if nearest > FARTHEST_TUMOUR:
         raise GeometryError(
             f"{source}: expected the tumour within {FARTHEST_TUMOUR} mm of the kidney, "
@@ -134,9 +134,18 @@ def checked_tumour(anatomy: LabelVolume, source: str) -> None:
         )
 
 
-def _bounds(anatomy: LabelVolume) -> tuple[np.ndarray, np.ndarray]:
-    points = anatomy.points(np.argwhere(anatomy.mask("kidney", "tumour")))
-    return points.min(axis=0), points.max(axis=0)
+def _gap(anatomy: LabelVolume) -> float:
+    """Distance (mm) from the tumour to the nearest kidney voxel, between centres."""
+    tumour, kidney = (_rim(anatomy, name) for name in ("tumour", "kidney"))
+    return float(cKDTree(tumour).query(kidney)[0].min())
+
+
+def _rim(anatomy: LabelVolume, *names: str) -> np.ndarray:
+    """(n, 3) mm: centres of the outermost voxels of some labels taken together."""
+    mask = anatomy.mask(*names)
+    box = ndimage.find_objects(mask.astype(np.uint8))[0]
+    rim = mask[box] & ~ndimage.binary_erosion(mask[box])
+    return anatomy.points(np.argwhere(rim) + [part.start for part in box])
 
 
 def _unit(ratio: float) -> str:

@@ -78,7 +78,7 @@ def affected_kidney(scan: LabelVolume, source: str = "scan", spacing: float = 1.
 
 def _around_labels(volume: LabelVolume) -> LabelVolume:
     """Only the part of a scan that has labels: the rest may be a whole body."""
-    box = ndimage.find_objects(volume.labels > 0)[0]
+    box = ndimage.find_objects((volume.labels > 0).astype(np.uint8))[0]
     affine = volume.affine.copy()
     affine[:3, 3] = volume.points(np.array([[part.start for part in box]], dtype=float))[0]
     return LabelVolume(np.ascontiguousarray(volume.labels[box]), affine, volume.names)

@@ -129,9 +129,14 @@ def trace_swab(surface: trimesh.Trimesh, near: np.ndarray, rule: SwabRule | None
 
 def _exposed(view: DepthMap, rule: SwabRule) -> tuple[np.ndarray, np.ndarray]:
     """Pixels of the largest visible piece that is not too steep, and mm^2 of surface in every pixel."""
+    steepest = np.tan(np.deg2rad(rule.slope_deg))
     rise = np.hypot(*np.gradient(view.depth, view.pixel_mm))
-    seen = np.isfinite(rise)
-    flat = seen & (np.where(seen, rise, 0) <= np.tan(np.deg2rad(rule.slope_deg)))
+    # Where one part ends before another the depth jumps, which the slope misses at tips and corners.
+    none = np.isnan(view.depth)
+    nearest = ndimage.minimum_filter(np.where(none, -np.inf, view.depth), 3)
+    farthest = ndimage.maximum_filter(np.where(none, np.inf, view.depth), 3)
+    jump = (farthest - nearest) / (2 * np.sqrt(2) * view.pixel_mm)
+    flat = (np.nan_to_num(rise, nan=np.inf) <= steepest) & (jump <= steepest)
     area = np.where(flat, np.sqrt(1 + np.where(flat, rise, 0) ** 2), 0) * view.pixel_mm**2
     pieces, count = ndimage.label(flat)
     if count == 0:
