@@ -46,7 +46,7 @@ def affected_kidney(scan: LabelVolume, source: str = "scan", spacing: float = 1.
     """
     if not scan.mask("tumour").any():
         raise LabelError(f"{source}: expected voxels of tumour, got none")
-    volume = _around_labels(reoriented(scan))
+    volume = reoriented(_around_labels(scan))
     tumour, kidney = (volume.names[name] for name in ("tumour", "kidney"))
     tumours, _ = ndimage.label(volume.labels == tumour, _CORNERS)
     largest = tumours == 1 + int(np.argmax(np.bincount(tumours.ravel())[1:]))
