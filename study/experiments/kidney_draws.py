@@ -8,20 +8,29 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from study.registration import DisplacementMoments, displacement_moments
-from study.registration.sources import ErrorSource, checked_transforms
+from study.registration import (
+    DisplacementMoments,
+    SurfaceFits,
+    SurfaceRegistration,
+    sampled_moments,
+)
+
+#: Of the registrations that only the covariance is from.
+_MOMENT_SEED = 4_2
 
 
-class RememberedDraws:
-    """A model whose draws are kept: the same draw from the same generator is made once.
+class RememberedRegistrations:
+    """A surface registration whose draws are kept: the same draw from the same generator is made once.
 
-    Both shapes are grown with one seed, hence on the same registrations, and an iterative closest point fit
-    costs more than growing on it. What comes out is what the model itself would have given, and the
-    generator is left as the model would have left it.
+    Margins of both shapes and by both methods are grown with one seed, hence on the same registrations, and
+    an iterative closest point fit costs more than growing on it. What comes out is what the model itself
+    would have given, and the generator is left as the model would have left it.
 
     Parameters
     ----------
-    model : ErrorSource
+    model : SurfaceRegistration
+    moment_registrations : int
+        Registrations, none of them used elsewhere, that the covariance of the error is estimated from.
 
     Attributes
     ----------
@@ -29,10 +38,11 @@ class RememberedDraws:
         Spent in the model.
     """
 
-    def __init__(self, model: ErrorSource) -> None:
+    def __init__(self, model: SurfaceRegistration, moment_registrations: int = 1000) -> None:
         self.model = model
+        self.moment_registrations = moment_registrations
         self.seconds = 0.0
-        self._drawn: dict[tuple, tuple[np.ndarray, dict, int]] = {}
+        self._fits: dict[tuple, tuple[SurfaceFits, dict, int]] = {}
         self._moments: DisplacementMoments | None = None
 
     def sample(self, n: int, rng: object = None) -> np.ndarray:
@@ -41,28 +51,28 @@ class RememberedDraws:
         bits, seeds = rng.bit_generator, rng.bit_generator.seed_seq
         # children drawn from a generator's seed do not show in its state
         key = (n, repr(bits.state), repr(seeds))
-        if key not in self._drawn:
+        if key not in self._fits:
             begun = time.perf_counter()
-            transforms = checked_transforms(self.model, n, rng)
+            fits = self.model.register(n, rng)
             self.seconds += time.perf_counter() - begun
-            self._drawn[key] = transforms, bits.state, seeds.n_children_spawned
-        transforms, after, children = self._drawn[key]
+            self._fits[key] = fits, bits.state, seeds.n_children_spawned
+        fits, after, children = self._fits[key]
         bits.state = after
         seeds.spawn(children - seeds.n_children_spawned)
-        return transforms
+        return np.linalg.inv(fits.transforms)
 
     def moments(self) -> DisplacementMoments:
-        """Covariance of the displacement, see `study.registration.displacement_moments`."""
+        """Covariance of the displacement about its mean."""
         if self._moments is None:
             begun = time.perf_counter()
-            self._moments = displacement_moments(self.model)
+            self._moments = sampled_moments(self.model.sample(self.moment_registrations, _MOMENT_SEED))
             self.seconds += time.perf_counter() - begun
         return self._moments
 
     @property
-    def drawn(self) -> np.ndarray:
-        """(m, 4, 4) every transform drawn so far."""
-        return np.concatenate([transforms for transforms, _, _ in self._drawn.values()])
+    def fits(self) -> list[SurfaceFits]:
+        """All registrations drawn so far; not those that only the moments are from."""
+        return [fits for fits, _, _ in self._fits.values()]
 
 
 @dataclass(frozen=True)

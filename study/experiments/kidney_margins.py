@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 import warnings
 import zlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import product
 from pathlib import Path
@@ -20,12 +20,12 @@ import pandas as pd
 from tqdm.auto import tqdm
 
 from study.errors import InputError, PaddedVolumeWarning, StudyError
-from study.experiments.kidney_draws import RememberedDraws, scatter_at
+from study.experiments.kidney_draws import RememberedRegistrations, scatter_at
 from study.experiments.margin_table import equal_risk_ratio
 from study.margins import REMOVAL_RISK, GrowthSettings, SafetyMargin, grow_margin
 from study.paths import PROJECT
 from study.registration import SurfaceRegistration
-from study.specimens import KidneyCase, kidney_case, kidney_catalogue, read_kidney_case
+from study.specimens import KidneyCase, kidney_catalogue, load_kidney
 from study.volumes import LabelVolume
 
 #: Letters of the printed tables and what `grow_margin` calls the shape.
@@ -82,7 +82,7 @@ class KidneyMargins:
 
 
 def select_kidneys(kidneys: str) -> list[str]:
-    """What a notebook's parameter asks for, each of it something `load_kidney` takes.
+    """What a notebook's parameter asks for, each of it something `study.specimens.load_kidney` takes.
 
     Parameters
     ----------
@@ -123,21 +123,17 @@ def _holds_labels(folder: Path) -> bool:
     return any(folder.glob("*.nrrd")) or any(folder.glob("*.nii*"))
 
 
-def load_kidney(name: str) -> KidneyCase:
-    """One kidney, of the catalogue or of a folder."""
-    return kidney_case(name) if name in kidney_catalogue() else read_kidney_case(name)
-
-
 def registration_of(case: KidneyCase, position_std: float, tilt_std_deg: float, loose: bool):
     """The registration of a kidney's swab to its surface, at one of the two stopping rules.
 
-    Raises
-    ------
-    InputError
-        If the case has no swab, or what `SurfaceRegistration` refuses.
+    Parameters
+    ----------
+    case : KidneyCase
+    position_std, tilt_std_deg : float
+        Of the start, mm and degrees.
+    loose : bool
+        As in `Run`.
     """
-    if not len(case.swab):
-        raise InputError(f"{case.name}: expected a kidney with a swab of its surface, got none")
     make = SurfaceRegistration.published if loose else SurfaceRegistration
     return make(case.surface, case.swab, position_std=position_std, tilt_std_deg=tilt_std_deg)
 
@@ -167,55 +163,69 @@ def margin_row(margin: SafetyMargin, volume: LabelVolume) -> dict[str, object]:
     }
 
 
-def _registration_row(model: RememberedDraws, case: KidneyCase, seed: Sequence[int]) -> dict[str, object]:
+def _registration_row(model: RememberedRegistrations, case: KidneyCase) -> dict[str, object]:
     """How the registrations end and scatter; the same for both shapes."""
-    scatter = scatter_at(model.drawn, case.anatomy.points(np.argwhere(case.anatomy.mask("tumour"))))
-    fits = model.model.register(_LOOKED_AT, np.random.default_rng(seed))
+    transforms, converged, iterations = (
+        np.concatenate([getattr(fits, name) for fits in model.fits])
+        for name in ("transforms", "converged", "iterations")
+    )
+    tumour = case.anatomy.points(np.argwhere(case.anatomy.mask("tumour")))
+    scatter = scatter_at(np.linalg.inv(transforms), tumour)
     return {
-        "converged_pct": 100 * float(np.mean(fits.converged)),
-        "iterations_mean": float(np.mean(fits.iterations)),
+        "converged_pct": 100 * float(converged.mean()),
+        "iterations_mean": float(iterations.mean()),
         "scatter_mm": scatter.scatter_mm,
         "bias_mm": scatter.bias_mm,
+        "registration_s": model.seconds,
     }
 
 
-#: Registrations on which the share that converged and the iterations are counted.
-_LOOKED_AT = 500
-
-
 def _margins_of(
-    case: KidneyCase, run: str, position_std: float, tilt_std_deg: float, settings: GrowthSettings, seed: int
-) -> tuple[list[dict], dict]:
-    model = RememberedDraws(registration_of(case, position_std, tilt_std_deg, RUNS[run].loose))
+    case: KidneyCase,
+    position_std: float,
+    tilt_std_deg: float,
+    settings: Mapping[str, GrowthSettings],
+    seed: int,
+) -> list[tuple[dict, pd.DataFrame]]:
+    """Rows and curves of one kidney and start."""
     rng = [seed, zlib.crc32(case.name.encode())]  # a kidney's own, whichever others are asked for
-    rows, curves = [], {}
-    for variant, shape in VARIANTS.items():
+    models: dict[bool, RememberedRegistrations] = {}
+    found = []
+    for run, (variant, shape) in product(settings, VARIANTS.items()):
+        loose = RUNS[run].loose
+        if loose not in models:
+            registration = registration_of(case, position_std, tilt_std_deg, loose)
+            models[loose] = RememberedRegistrations(registration, max(settings[run].registrations // 5, 100))
+        model = models[loose]
         before = model.seconds
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", PaddedVolumeWarning)  # the rows say so
             margin = grow_margin(
-                case.anatomy, "tumour", model, shape=shape, settings=settings, rng=rng, purpose="remove"
+                case.anatomy, "tumour", model, shape=shape, settings=settings[run], rng=rng, purpose="remove"
             )
         growth = margin.time_s - (model.seconds - before)
-        curves[variant] = margin.curve()
-        rows.append({"variant": variant, **margin_row(margin, case.anatomy), "growth_s": growth})
-    ratio = float("nan")
-    if settings.method == "exact" and all(row["margin_volume_mm3"] > 0 for row in rows):
-        ratio = equal_risk_ratio(*curves.values(), REMOVAL_RISK)
-    shared = _registration_row(model, case, rng)
-    for row in rows:
-        row |= shared | {"sv_over_ct_at_equal_risk": ratio, "registration_s": model.seconds}
+        row = {"run": run, "variant": variant, **margin_row(margin, case.anatomy), "growth_s": growth}
+        found.append((row, margin.curve()))
+    for row, _ in found:
+        row |= _registration_row(models[RUNS[row["run"]].loose], case)
         row["time_min"] = (row["registration_s"] + row["growth_s"]) / 60
-    return rows, curves
+    for (sv, of_sv), (ct, of_ct) in zip(found[::2], found[1::2], strict=True):
+        compare = (
+            RUNS[sv["run"]].method == "exact" and min(sv["margin_volume_mm3"], ct["margin_volume_mm3"]) > 0
+        )
+        ratio = equal_risk_ratio(of_sv, of_ct, REMOVAL_RISK) if compare else float("nan")
+        sv["sv_over_ct_at_equal_risk"] = ct["sv_over_ct_at_equal_risk"] = ratio
+    return found
 
 
 def run_kidney_margins(
     kidneys: Sequence[str],
     position_stds: Iterable[float] = POSITION_STDS,
     rotation_stds: Iterable[float] = ROTATION_STDS,
-    runs: Sequence[str] = ("published", "converged"),
+    runs: Sequence[str] = tuple(RUNS),
     registrations: int = 5000,
-    validation_registrations: int = 5000,
+    validation_registrations: int = 1000,
+    confidence: float | None = 0.95,
     seed: int = 0,
 ) -> KidneyMargins:
     """Grow the margins of all combinations.
@@ -229,7 +239,10 @@ def run_kidney_margins(
     runs : sequence of str
         Of `RUNS`.
     registrations, validation_registrations : int
-        N_r (4.3.1), and fresh ones for the validated risk.
+        N_r (4.3.1), and fresh ones for the validated risk. The error's covariance is estimated from others,
+        a fifth of N_r.
+    confidence : float or None
+        See `study.margins.GrowthSettings`.
     seed : int
         The registrations of a kidney follow from it and the kidney's name: the same random numbers, scaled,
         at all errors, so that errors are compared on the same luck.
@@ -237,8 +250,8 @@ def run_kidney_margins(
     Returns
     -------
     KidneyMargins
-        Rows: ``tumour`` (number), ``kidney``, ``run, pos_std_mm, rot_std_deg, table`` (printed, or ""),
-        ``variant``; ``margin_volume_mm3, final_damage_probability, mahalanobis_mean, mahalanobis_std,
+        Rows: ``tumour`` (number), ``kidney, table`` (printed, or ""), ``pos_std_mm, rot_std_deg,
+        run, variant``; ``margin_volume_mm3, final_damage_probability, mahalanobis_mean, mahalanobis_std,
         time_min`` as printed; ``validated_risk, validated_low, validated_high`` on fresh registrations;
         ``healthy_kidney_mm3`` in the margin; ``tumour_mm3``; ``beyond_image``: the margin needed room beyond
         it; ``sv_over_ct_at_equal_risk``, see `study.experiments.margin_table.equal_risk_ratio`;
@@ -264,26 +277,26 @@ def run_kidney_margins(
             registrations=registrations,
             violation_registrations=registrations,
             validation_registrations=validation_registrations,
+            confidence=confidence,
         )
         for run in runs
     }
     rows, curves = [], {}
     silent = bool(os.environ.get("STUDY_BATCH"))
-    with tqdm(
-        total=len(kidneys) * len(runs) * len(pairs), desc="margins", leave=False, disable=silent
-    ) as bar:
+    with tqdm(total=len(kidneys) * len(pairs), desc="margins", leave=False, disable=silent) as bar:
         for number, name in enumerate(kidneys, start=1):
             case = load_kidney(name)
-            for run, (position, rotation) in product(of_run, pairs):
+            for position, rotation in pairs:
                 try:
-                    found, of_variant = _margins_of(case, run, position, rotation, of_run[run], seed)
+                    found = _margins_of(case, position, rotation, of_run, seed)
                 except StudyError as error:  # which of many it was is lost otherwise
-                    error.add_note(f"{name}, {RUNS[run].title}, {position:g} mm, {rotation:g} degrees")
+                    error.add_note(f"{name}, start with {position:g} mm and {rotation:g} degrees")
                     raise
-                which = {"tumour": number, "kidney": case.name, "run": run, "pos_std_mm": position}
-                which |= {"rot_std_deg": rotation, "table": TABLES.get((position, rotation), "")}
-                rows += [which | row for row in found]
-                for variant, curve in of_variant.items():
-                    curves[case.name, run, position, rotation, variant] = curve
+                start = {"pos_std_mm": position, "rot_std_deg": rotation}
+                table = TABLES.get((position, rotation), "")
+                for row, curve in found:
+                    which = {"tumour": number, "kidney": case.name, "table": table, **start}
+                    rows.append(which | row)
+                    curves[case.name, row["run"], position, rotation, row["variant"]] = curve
                 bar.update()
     return KidneyMargins(pd.DataFrame(rows), curves)
