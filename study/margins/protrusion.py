@@ -12,13 +12,20 @@ transform, outside the structure.
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 from scipy import ndimage
 
+from study.errors import InputError
 from study.margins.landing import _kernels
 from study.margins.overall_risk import RiskEstimate
-from study.margins.region import Region
+from study.margins.region import Region, bounding_box
 from study.threads import in_threads
+from study.volumes import LabelVolume
+
+#: Volume of what a unit of volume becomes, from which on a transform has an inverse.
+_SINGULAR = 1e-9
 
 
 def boundary_centres(solid: np.ndarray) -> np.ndarray:
@@ -36,7 +43,38 @@ def appearing(region: Region, transforms: np.ndarray) -> np.ndarray:
     transforms : (n, 4, 4) array
         Where an image point lands, mm.
     """
-    return _in_voxels(region, np.linalg.inv(transforms))
+    return _in_voxels(region, inverted(transforms))
+
+
+def farthest_moved(volume: LabelVolume, mask: np.ndarray, transforms: np.ndarray) -> tuple[np.ndarray, float]:
+    """(n,) how far from itself any point of a structure's box appears in each registration, mm.
+
+    And how much farther, at most, the centre of the voxel that it appears in is from the structure's surface.
+    """
+    low, high = bounding_box(mask)
+    # The displacement is affine in the point, so that it is longest at a corner of the box.
+    box = volume.points(np.array(list(product(*zip(low - 0.5, high - 0.5, strict=True)))))
+    inverse = inverted(transforms)
+    moved = np.einsum("nab,mb->nma", inverse[:, :3, :3], box) + inverse[:, None, :3, 3] - box
+    return np.linalg.norm(moved, axis=2).max(axis=1), float(volume.spacing.sum())
+
+
+def inverted(transforms: np.ndarray) -> np.ndarray:
+    """(n, 4, 4) inverses.
+
+    Raises
+    ------
+    InputError
+        If a transform maps different points to one.
+    """
+    size = np.abs(np.linalg.det(transforms[:, :3, :3]))
+    if not (size > _SINGULAR).all():
+        n = int((~(size > _SINGULAR)).argmax())
+        raise InputError(
+            f"model: expected transforms that keep volumes apart from 0, got one that shrinks them to "
+            f"{size[n]:.3g} times as much: {transforms[n].tolist()}"
+        )
+    return np.linalg.inv(transforms)
 
 
 def landing(region: Region, transforms: np.ndarray) -> np.ndarray:

@@ -12,23 +12,18 @@ import numpy as np
 from scipy import ndimage
 
 from study.errors import MarginError
-from study.margins.exact import Choice, Ranking, in_order, ranked_voxels
+from study.margins.exact import Choice, Ranking, in_order
 from study.margins.overall_risk import RiskEstimate
-from study.margins.point_risk import all_distances, widest_deviation
+from study.margins.point_risk import all_distances
 from study.margins.protrusion import (
-    boundary_centres,
+    farthest_moved,
     largest_losses,
     largest_protrusions,
     protrusion_risk,
 )
 from study.margins.region import Region
-from study.margins.room import with_room, without_room
+from study.margins.room import room_for, with_room, without_room
 from study.margins.task import Grown, Task
-
-#: Boundary voxels at which it is asked how far registrations move the structure.
-_PROBES = 300
-#: How much farther the next attempt looks when a registration needs voxels that have no rank yet.
-_WIDER = 1.3
 
 
 def grow_to_remove(
@@ -49,19 +44,15 @@ def grow_to_remove(
         If the registrations scatter so far that the margin would be larger than what can be looked at.
     """
     transforms, fresh = task.registrations(growing), task.fresh_registrations(validating)
-    cut = _first_cut(task, transforms, allowed)
-    while True:
-        volume, mask, added = with_room(task.volume, task.mask, _reach(task, cut))
-        region = Region.around(mask, volume, _reach(task, cut))
-        ranking = ranked_voxels(region, task.metric, cut)
-        ranks = np.full(region.shape, len(ranking.order) + 1, np.int32)
-        ranks.reshape(-1)[ranking.order] = np.arange(1, len(ranking.order) + 1, dtype=np.int32)
-        ranks[region.solid == 1] = 0
-        needs = largest_protrusions(region, ranks, transforms, beyond=len(ranking.order) + 1)
-        # The curve shall go on for a while beyond the margin.
-        if np.count_nonzero(needs > len(ranking.order)) <= allowed // 3:
-            break
-        cut *= _WIDER
+    reach = _reach(task, transforms, allowed)
+    volume, mask, added = with_room(task.volume, task.mask, reach)
+    region = Region.around(mask, volume, reach)
+    voxels = region.near(lambda points: np.full(len(points), reach))
+    ranking = _ranked(region, voxels, task)
+    ranks = np.full(region.shape, len(ranking.order) + 1, np.int32)
+    ranks.reshape(-1)[ranking.order] = np.arange(1, len(ranking.order) + 1, dtype=np.int32)
+    ranks[region.solid == 1] = 0
+    needs = largest_protrusions(region, ranks, transforms, beyond=len(ranking.order) + 1)
     size = int(np.partition(needs, len(needs) - 1 - allowed)[len(needs) - 1 - allowed])
     union = region.solid == 1
     union.reshape(-1)[ranking.order[:size]] = True
@@ -101,13 +92,10 @@ def grow_to_stay_inside(
     """
     transforms, fresh = task.registrations(growing), task.fresh_registrations(validating)
     region = Region.around(task.mask, task.volume, 0.0)
-    voxels = np.argwhere(region.solid)
-    distances = all_distances(region, voxels, task.metric)
-    flat = np.ravel_multi_index(tuple(voxels.T), region.shape)
-    order = in_order(distances, flat)
-    ranking = Ranking(flat[order], distances[order])
+    ranking = _ranked(region, np.argwhere(region.solid), task)
+    order, distances = ranking.order, ranking.distances
     ranks = np.arange(1, len(order) + 1)
-    needs = largest_losses(region, ranking.order, ranks, transforms)
+    needs = largest_losses(region, order, ranks, transforms)
     size = int(np.partition(needs, len(needs) - 1 - allowed)[len(needs) - 1 - allowed])
     if size == len(order):
         raise MarginError(
@@ -116,10 +104,10 @@ def grow_to_stay_inside(
             f"innermost voxel, {distances.max():.3g} {task.unit} from the surface"
         )
     margin = np.zeros(region.shape, bool)
-    margin.reshape(-1)[ranking.order[:size]] = True
+    margin.reshape(-1)[order[:size]] = True
     validation = None
     if len(fresh):
-        lost = largest_losses(region, ranking.order[size:], ranks[size:], fresh)
+        lost = largest_losses(region, order[size:], ranks[size:], fresh)
         validation = RiskEstimate(int(np.count_nonzero(lost)), len(fresh))
     return Grown(
         mask=region.full(margin),
@@ -132,37 +120,19 @@ def grow_to_stay_inside(
     )
 
 
-def _first_cut(task: Task, transforms: np.ndarray, allowed: int) -> float:
-    """A distance, in the metric's unit, that a few of the registrations at most carry the surface beyond.
+def _ranked(region: Region, voxels: np.ndarray, task: Task) -> Ranking:
+    """Voxels by their distance to the structure's surface in the task's metric."""
+    distances = all_distances(region, voxels, task.metric)
+    flat = np.ravel_multi_index(tuple(voxels.T), region.shape)
+    order = in_order(distances, flat)
+    return Ranking(flat[order], distances[order])
 
-    Where a point appears it is no farther from the surface than from where it was.
+
+def _reach(task: Task, transforms: np.ndarray, allowed: int) -> float:
+    """How far the structure appears from itself, mm, in all but a third of the registrations that may do
+    damage.
+
+    The margin is nowhere thicker, and its curve goes on for a while beyond it.
     """
-    centres = boundary_centres(Region.around(task.mask, task.volume, 0.0).solid)
-    low = Region.around(task.mask, task.volume, 0.0).low
-    probes = task.volume.points(centres[:: -(-len(centres) // _PROBES)] + low)
-    inverse = np.linalg.inv(transforms)
-    moved = np.einsum("nab,mb->nma", inverse[:, :3, :3], probes) + inverse[:, None, :3, 3] - probes
-    covariance = task.metric.at(probes)
-    covariance += 1e-2 * np.trace(covariance, axis1=1, axis2=2)[:, None, None] / 3 * np.eye(3)
-    root = np.linalg.inv(np.linalg.cholesky(covariance))
-    farthest = np.sqrt((np.einsum("mab,nmb->nma", root, moved) ** 2).sum(axis=2).max(axis=1))
-    enough = np.partition(farthest, len(farthest) - 1 - allowed // 3)[len(farthest) - 1 - allowed // 3]
-    # A voxel that the surface reaches has its centre up to half a diagonal farther away.
-    voxel = float(np.cbrt(task.volume.voxel_volume))
-    smallest = float(np.sqrt(np.linalg.eigvalsh(covariance)[:, 0].min()))
-    return float(max(enough, 1e-3)) + min(0.9 * voxel / max(smallest, 1e-9), 1.0 + enough)
-
-
-def _reach(task: Task, cut: float) -> float:
-    """How far that distance is at most, mm, in the box that it makes about the structure."""
-    reach = 0.0
-    for _ in range(50):
-        volume, mask, _ = with_room(task.volume, task.mask, reach)
-        wider = cut * widest_deviation(Region.around(mask, volume, reach), task.metric)
-        if wider <= reach:
-            return reach
-        reach = 1.02 * wider
-    raise MarginError(
-        f"remove: expected an error that grows by less than a millimetre a millimetre away from the "
-        f"structure; {cut:.3g} standard deviations of it reach {reach:.3g} mm and more"
-    )
+    moved, diagonal = farthest_moved(task.volume, task.mask, transforms)
+    return room_for(task.volume, task.mask, moved, allowed // 3, allowed, diagonal)

@@ -10,7 +10,49 @@ from study.volumes import LabelVolume
 
 _EMPTY = ("background", "air")
 #: A margin that needs more voxels to look at than this is no margin any more.
-_MOST_VOXELS = 200_000_000
+_MOST_VOXELS = 30_000_000
+#: A registration that moves a structure so many times as far as others do is a gross misregistration.
+_GROSS = 2.0
+
+
+def room_for(
+    volume: LabelVolume, mask: np.ndarray, moved: np.ndarray, few: int, most: int, beyond: float
+) -> float:
+    """How far from a structure a margin to be removed is looked for, mm.
+
+    Parameters
+    ----------
+    volume : LabelVolume
+    mask : (nx, ny, nz) bool array
+        The structure.
+    moved : (n,) array
+        How far each registration moves the structure, mm.
+    few, most : int
+        Registrations that get no room of their own, since what they move out of sight protrudes anyway:
+        `few`, but up to `most` where these move the structure more than twice as far as all others.
+    beyond : float
+        Added, mm.
+
+    Raises
+    ------
+    GeometryError
+        If the remaining ones scatter so far that there are too many voxels to look at.
+    """
+    farthest = np.sort(moved)[::-1]
+    longest = float(farthest[few] if farthest[few] <= _GROSS * farthest[most] else farthest[most])
+    low, high = bounding_box(mask)
+    size = np.prod(high - low + 2.0 * np.ceil((longest + beyond) * steps_per_mm(volume.affine)))
+    if size > _MOST_VOXELS:
+        usual = float(np.median(moved))
+        gross = int(np.count_nonzero(moved > max(longest / 2, _GROSS * usual)))
+        raise GeometryError(
+            f"room: expected registrations of which all but {most} need at most {_MOST_VOXELS:.3g} voxels "
+            f"looked at; {gross} of {len(moved)} move the structure by more than "
+            f"{max(longest / 2, _GROSS * usual):.4g} mm, the median one by {usual:.4g} mm, and room for "
+            f"{longest:.4g} mm is {size:.3g} voxels of {volume.spacing.round(3).tolist()} mm. Drop gross "
+            f"misregistrations, or crop or coarsen the volume"
+        )
+    return longest + beyond
 
 
 def with_room(
@@ -40,7 +82,7 @@ def with_room(
     Raises
     ------
     GeometryError
-        If there is no such label, or so much room would take more memory than there is.
+        If there is no such label.
     """
     low, high = bounding_box(mask)
     wanted = np.ceil(reach * steps_per_mm(volume.affine)).astype(int) + voxels
@@ -48,14 +90,9 @@ def with_room(
     added = np.maximum(wanted[:, None] - have, 0)
     if not added.any():
         return volume, mask, added
-    size = float(np.prod(np.array(mask.shape, dtype=float) + added.sum(axis=1)))
-    if size > _MOST_VOXELS:
-        raise GeometryError(
-            f"room: expected a margin within the reach of the volume, got one of {reach:.1f} mm, for which "
-            f"{size:.3g} voxels would have to be looked at"
-        )
-    names = {value: name for name, value in reversed(volume.names.items())}
-    empty = next((name for name in _EMPTY if name in volume.names), names.get(0))
+    # What is labelled 0 is empty by custom, but for a structure that is.
+    named = [name for name, value in volume.names.items() if value == 0 and (volume.labels[mask] > 0).all()]
+    empty = next((name for name in (*_EMPTY, *named) if name in volume.names), None)
     if empty is None:
         raise GeometryError(
             f"room: a margin of {reach:.1f} mm leaves the volume by {added.tolist()} voxels (i, j, k; low "

@@ -15,10 +15,10 @@ from scipy import ndimage
 
 from study.errors import MarginError
 from study.margins.point_risk import all_distances
-from study.margins.protrusion import counted_violations, protrusion_risk
+from study.margins.protrusion import counted_violations, farthest_moved, protrusion_risk
 from study.margins.published import shell_of, transfer_share
-from study.margins.region import Region, reach_of
-from study.margins.room import with_room, without_room
+from study.margins.region import Region
+from study.margins.room import room_for, with_room, without_room
 from study.margins.settings import GrowthSettings
 from study.margins.task import Grown, Task
 from study.registration.sources import checked_transforms
@@ -143,10 +143,11 @@ def closed(union: np.ndarray) -> np.ndarray:
 
 def reach_of_most(task: Task, transforms: np.ndarray) -> float:
     """How far registrations move the structure, mm, but for the few that are lost."""
-    centre = task.volume.points(np.argwhere(task.mask)).mean(axis=0)
-    moved = transforms[:, :3, :3] @ centre + transforms[:, :3, 3] - centre
-    order = np.argsort(np.linalg.norm(moved, axis=1), kind="stable")
-    return reach_of(transforms[order[: max(1, int((1 - _LOST) * len(order)))]], task.mask, task.volume)
+    count = len(transforms)
+    # Half of those that may do damage; the other half are needed where growth stops.
+    most = min(int(task.acceptable_risk * count / 2), count - 1)
+    moved, diagonal = farthest_moved(task.volume, task.mask, transforms)
+    return room_for(task.volume, task.mask, moved, min(int(_LOST * count), most), most, diagonal)
 
 
 def _stalled(rows: list[dict], settings: GrowthSettings, acceptable_risk: float) -> str:
