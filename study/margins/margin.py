@@ -15,6 +15,7 @@ from study.margins.overall_risk import RiskEstimate, overall_damage_risk
 from study.margins.point_risk import all_distances, point_damage_risk
 from study.margins.protrusion import largest_losses, protrusion_risk
 from study.margins.region import Region, reach_of
+from study.margins.room import with_edge
 from study.margins.settings import GrowthSettings
 from study.registration.sources import ErrorSource, checked_transforms, displacement_moments
 from study.volumes import LabelVolume
@@ -155,6 +156,7 @@ class SafetyMargin:
         """(n,) smallest Mahalanobis distance of the final shell's voxels to the structure's surface."""
         around = Region.around(self.structure_mask | self.mask, self.volume, 0.0)
         region = replace(around, solid=around.part(self.structure_mask).view(np.uint8))
+        region = with_edge(region) if self.purpose == "stay_inside" else region
         return all_distances(region, self.final_shell - region.low, displacement_moments(self.model))
 
     @property

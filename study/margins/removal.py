@@ -22,7 +22,7 @@ from study.margins.protrusion import (
     protrusion_risk,
 )
 from study.margins.region import Region
-from study.margins.room import room_for, with_room, without_room
+from study.margins.room import room_for, with_edge, with_room, without_room
 from study.margins.task import Grown, Task
 
 
@@ -47,16 +47,20 @@ def grow_to_remove(
     reach = _reach(task, transforms, allowed)
     volume, mask, added = with_room(task.volume, task.mask, reach)
     region = Region.around(mask, volume, reach)
-    voxels = region.near(lambda points: np.full(len(points), reach))
-    ranking = _ranked(region, voxels, task)
+    # A cavity would be spared in the middle of what is removed: it comes first.
+    cavity = ndimage.binary_fill_holes(region.solid) & (region.solid == 0)
+    near = cavity.copy()
+    near[tuple(region.near(lambda points: np.full(len(points), reach)).T)] = True
+    ranking = _ranked(region, np.argwhere(near), task, cavity)
     ranks = np.full(region.shape, len(ranking.order) + 1, np.int32)
     ranks.reshape(-1)[ranking.order] = np.arange(1, len(ranking.order) + 1, dtype=np.int32)
     ranks[region.solid == 1] = 0
     needs = largest_protrusions(region, ranks, transforms, beyond=len(ranking.order) + 1)
     size = int(np.partition(needs, len(needs) - 1 - allowed)[len(needs) - 1 - allowed])
+    size = max(size, np.count_nonzero(cavity))
     union = region.solid == 1
     union.reshape(-1)[ranking.order[:size]] = True
-    # A cavity would be spared in the middle of what is removed.
+    # And what the margin itself has come to enclose.
     union = ndimage.binary_fill_holes(union)
     solid = union.astype(np.uint8)
     margin = region.full(union & (region.solid == 0))
@@ -78,6 +82,8 @@ def grow_to_stay_inside(
 ) -> Grown:
     """The smallest rim to avoid, so that at most `allowed` registrations lose any of what is inside.
 
+    Where the volume cuts a structure off, its edge is a surface: nobody knows what is beyond.
+
     Parameters
     ----------
     task : Task
@@ -91,7 +97,8 @@ def grow_to_stay_inside(
         If nothing is left inside.
     """
     transforms, fresh = task.registrations(growing), task.fresh_registrations(validating)
-    region = Region.around(task.mask, task.volume, 0.0)
+    inner = Region.around(task.mask, task.volume, 0.0)
+    region = with_edge(inner)
     ranking = _ranked(region, np.argwhere(region.solid), task)
     order, distances = ranking.order, ranking.distances
     ranks = np.arange(1, len(order) + 1)
@@ -110,7 +117,7 @@ def grow_to_stay_inside(
         lost = largest_losses(region, order[size:], ranks[size:], fresh)
         validation = RiskEstimate(int(np.count_nonzero(lost)), len(fresh))
     return Grown(
-        mask=region.full(margin),
+        mask=inner.full(margin[1:-1, 1:-1, 1:-1]),
         estimate=RiskEstimate(int(np.count_nonzero(needs > size)), len(needs)),
         validation=validation,
         distance=float(ranking.distances[size - 1]) if size else 0.0,
@@ -120,9 +127,11 @@ def grow_to_stay_inside(
     )
 
 
-def _ranked(region: Region, voxels: np.ndarray, task: Task) -> Ranking:
-    """Voxels by their distance to the structure's surface in the task's metric."""
+def _ranked(region: Region, voxels: np.ndarray, task: Task, first: np.ndarray | None = None) -> Ranking:
+    """Voxels by their distance to the structure's surface in the task's metric; a mask of voxels at 0."""
     distances = all_distances(region, voxels, task.metric)
+    if first is not None:
+        distances[first[tuple(voxels.T)]] = 0.0
     flat = np.ravel_multi_index(tuple(voxels.T), region.shape)
     order = in_order(distances, flat)
     return Ranking(flat[order], distances[order])

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from study.errors import GeometryError
-from study.margins.region import bounding_box, steps_per_mm
+from study.margins.region import Region, bounding_box, steps_per_mm
 from study.volumes import LabelVolume
 
 _EMPTY = ("background", "air")
@@ -109,3 +111,10 @@ def without_room(mask: np.ndarray, added: np.ndarray) -> np.ndarray:
     """The part of a mask that belongs to the volume before `with_room`."""
     ends = np.array(mask.shape) - added[:, 1]
     return mask[tuple(slice(a, b) for a, b in zip(added[:, 0], ends, strict=True))]
+
+
+def with_edge(region: Region) -> Region:
+    """A box with one voxel more on all sides: the edge of a volume becomes a surface of what it cuts off."""
+    affine = region.affine.copy()
+    affine[:3, 3] -= affine[:3, :3].sum(axis=1)
+    return replace(region, solid=np.pad(region.solid, 1), low=region.low - 1, affine=affine)
