@@ -164,16 +164,13 @@ def margin_row(margin: SafetyMargin, volume: LabelVolume) -> dict[str, object]:
 
 
 def _registration_row(model: RememberedRegistrations, case: KidneyCase) -> dict[str, object]:
-    """How the registrations end and scatter; the same for both shapes."""
-    transforms, converged, iterations = (
-        np.concatenate([getattr(fits, name) for fits in model.fits])
-        for name in ("transforms", "converged", "iterations")
-    )
+    """How the registrations that margins are grown on end and scatter; the same for both shapes."""
+    fits = model.fits[0]
     tumour = case.anatomy.points(np.argwhere(case.anatomy.mask("tumour")))
-    scatter = scatter_at(np.linalg.inv(transforms), tumour)
+    scatter = scatter_at(np.linalg.inv(fits.transforms), tumour)
     return {
-        "converged_pct": 100 * float(converged.mean()),
-        "iterations_mean": float(iterations.mean()),
+        "converged_pct": 100 * float(fits.converged.mean()),
+        "iterations_mean": float(fits.iterations.mean()),
         "scatter_mm": scatter.scatter_mm,
         "bias_mm": scatter.bias_mm,
         "registration_s": model.seconds,
