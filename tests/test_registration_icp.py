@@ -7,13 +7,15 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.linalg import expm
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from study.errors import GeometryError, InputError
 from study.registration import IcpSettings, SurfaceTree, register_points, register_surface
-from study.registration.icp import _kernels, fits
-from study.registration.icp.tree import LEAF
+from study.registration.icp import fits
+from study.registration.icp.nearest import _kernels
+from study.registration.icp.nearest.tree import LEAF
 
 
 def best_fit(moving, fixed):
@@ -29,6 +31,24 @@ def best_fit(moving, fixed):
     return out
 
 
+def first_order_fit(pose, moving, fixed):
+    """One Gauss-Newton step in the moving points' own axes, as the exponential of a twist."""
+    centre = moving.mean(axis=0)
+    own = moving - centre
+    rest = (fixed - moved(pose, moving)) @ pose[:3, :3]
+    design = np.concatenate([np.concatenate([-cross(p), np.eye(3)], axis=1) for p in own])
+    turn, shift = np.split(np.linalg.lstsq(design, rest.ravel(), rcond=None)[0], 2)
+    twist = np.zeros((4, 4))
+    twist[:3, :3], twist[:3, 3] = cross(turn), shift
+    to_centre = np.eye(4)
+    to_centre[:3, 3] = centre
+    return pose @ to_centre @ expm(twist) @ np.linalg.inv(to_centre)
+
+
+def cross(v):
+    return np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
+
+
 def plain_icp(vertices, swab, start, settings=None, kept=None):
     """What it says: match all, fit in closed form, until nothing changes or the step is small."""
     settings = settings or IcpSettings()
@@ -38,9 +58,14 @@ def plain_icp(vertices, swab, start, settings=None, kept=None):
     for iteration in range(settings.max_iterations + 1):
         distances, matches = tree.query(moved(pose, swab))
         rms = np.sqrt((distances**2).mean())
-        if small or np.array_equal(matches, before):
-            return pose, True, iteration, rms
-        new = best_fit(swab, seen[matches])
+        same = np.array_equal(matches, before)
+        if small or (same and settings.step == "closed_form"):
+            pose = best_fit(swab, seen[matches]) if same else pose
+            return pose, True, iteration, np.sqrt((tree.query(moved(pose, swab))[0] ** 2).mean())
+        if settings.step == "closed_form":
+            new = best_fit(swab, seen[matches])
+        else:
+            new = first_order_fit(pose, swab, seen[matches])
         if new is None or iteration == settings.max_iterations:
             return pose, False, iteration, rms
         shift = np.linalg.norm((moved(new, swab) - moved(pose, swab)).mean(axis=0))
@@ -129,6 +154,8 @@ def test_near_and_far_starts(position):
         IcpSettings(max_iterations=7),
         IcpSettings(translation_tolerance=0.05, rotation_tolerance=0.002),
         IcpSettings(translation_tolerance=0, rotation_tolerance=0),
+        IcpSettings(step="gauss_newton"),
+        IcpSettings(translation_tolerance=0.05, rotation_tolerance=0.002, step="gauss_newton"),
     ],
 )
 def test_stops_when_a_plain_fit_does(settings):
@@ -224,60 +251,108 @@ def searched(points, ends, boxes, mask, masked, queries, guesses, indices, dista
     stack, bounds = np.empty(_kernels.DEPTH, np.int64), np.empty(_kernels.DEPTH)
     for i in range(len(queries)):
         x, y, z = queries[i]
-        first, second = guesses[i]
-        first, near, second, next_ = _kernels.nearest_two(
-            points, ends, boxes, mask, masked, stack, bounds, x, y, z, first, second
+        first, near, next_ = _kernels.nearest_two(
+            points, ends, boxes, mask, masked, stack, bounds, x, y, z, guesses[i]
         )
-        indices[i] = first, second
+        indices[i] = first
         distances[i] = near, next_
 
 
-def brute(points, seen, query):
-    """First in order of the nearest, its squared distance, and that of the nearest elsewhere."""
-    distances = ((points[seen] - query) ** 2).sum(axis=1)
-    best = seen[distances.argmin()]
-    elsewhere = (points[seen] != points[best]).any(axis=1)
-    return best, distances.min(), distances[elsewhere].min() if elsewhere.any() else np.inf
+@numba.njit
+def walked(points, around, planes, mask, masked, queries, guesses, rivals, slacks, bests, free):
+    for i in range(len(queries)):
+        x, y, z = queries[i]
+        free[i] = _kernels.walk(
+            points, around, planes, mask, masked, 1e-10, x, y, z, guesses[i], rivals, i, slacks
+        )
+        best, slack = _kernels.best_rival(points, rivals, i, x, y, z)
+        bests[i, 0] = best
+        bests[i, 1] = slack
 
 
-def a_guess(rng, points, seen):
-    """Two vertices that lie apart, or as much of that as there is."""
-    first = rng.choice(seen)
-    others = seen[(points[seen] != points[first]).any(axis=1)]
-    return first, rng.choice(others) if len(others) else -1
+KINDS = ["scattered", "surface", "lattice", "doubled", "one plane", "one place"]
+COUNTS = [3, 8, 9, 100, 500]
 
 
-@pytest.mark.parametrize("count", [3, 8, 9, 100, 500])
-@pytest.mark.parametrize("kind", ["scattered", "lattice", "doubled", "one plane", "one place"])
-def test_search_finds_the_two_nearest(kind, count):
-    """Whatever it begins with, also among equally near vertices and several at the same place."""
+def a_tree(kind, count):
+    """Vertices of a kind; half of them (three at least); queries, some of them amid lattice points."""
     rng = np.random.default_rng(count)
     points = rng.normal(size=(count, 3)) * 10
     points = {
         "scattered": points,
+        "surface": bumpy(rng, count) - [100, -60, 900],
         "lattice": np.round(points / 4) * 4,
         "doubled": np.concatenate([points, points]),
         "one plane": points * [1, 1, 0],
         "one place": np.ones((count, 3)),
     }[kind]
     tree = SurfaceTree.of(points)
-    assert np.array_equal(np.sort(tree.order), np.arange(len(points)))
-    np.testing.assert_array_equal(tree.points, tree.vertices[tree.order] - tree.origin)
-    assert np.diff(tree.ends).max() <= LEAF
     mask = rng.random(len(points)) < 0.5
     mask[:3] = True
     queries = rng.normal(size=(60, 3)) * 12
-    queries[::2] = np.round(queries[::2] / 2) * 2 - tree.origin  # as far from several lattice points
+    queries[::2] = np.round(queries[::2] / 2) * 2 - tree.origin
+    return rng, tree, mask, queries
+
+
+@pytest.mark.parametrize("count", COUNTS)
+@pytest.mark.parametrize("kind", KINDS)
+def test_search_in_the_tree_finds_the_two_nearest(kind, count):
+    """Whatever bounds it, also among equally near vertices and several at the same place."""
+    rng, tree, mask, queries = a_tree(kind, count)
+    points = tree.points
+    assert np.array_equal(np.sort(tree.order), np.arange(len(points)))
+    np.testing.assert_array_equal(points, tree.vertices[tree.order] - tree.origin)
+    assert np.diff(tree.ends).max() <= LEAF
     for masked in (False, True):
         seen = np.flatnonzero(mask) if masked else np.arange(len(points))
         for known in (False, True):
-            guesses = np.array([a_guess(rng, tree.points, seen) if known else (-1, -1) for _ in queries])
-            indices, distances = np.empty((60, 2), int), np.empty((60, 2))
-            searched(tree.points, tree.ends, tree.boxes, mask, masked, queries, guesses, indices, distances)
-            expected = [brute(tree.points, seen, query) for query in queries]
-            assert np.array_equal(indices[:, 0], [best for best, _, _ in expected])
-            np.testing.assert_allclose(distances, [rest for _, *rest in expected], rtol=1e-13)
-            assert np.isin(indices[indices[:, 1] >= 0], seen).all()
+            guesses = rng.choice(seen, 60) if known else np.full(60, -1)
+            indices, found = np.empty(60, int), np.empty((60, 2))
+            searched(points, tree.ends, tree.boxes, mask, masked, queries, guesses, indices, found)
+            for query, index, distances in zip(queries, indices, found, strict=True):
+                all_ = ((points[seen] - query) ** 2).sum(axis=1)
+                best = seen[all_.argmin()]
+                elsewhere = (points[seen] != points[best]).any(axis=1)
+                second = all_[elsewhere].min() if elsewhere.any() else np.inf
+                assert index == best
+                np.testing.assert_allclose(distances, (all_.min(), second), rtol=1e-13)
+
+
+@pytest.mark.parametrize("count", COUNTS)
+@pytest.mark.parametrize("kind", KINDS)
+def test_walk_knows_how_far_a_point_has_to_another_vertex(kind, count):
+    """Against the distances to all planes half way between the match and the other vertices."""
+    rng, tree, mask, queries = a_tree(kind, count)
+    points, around, planes = tree.points, tree.around, tree.planes
+    if kind == "surface":
+        queries = points[rng.integers(len(points), size=60)] + rng.normal(size=(60, 3))
+    sure = 0
+    for masked in (False, True):
+        seen = np.flatnonzero(mask) if masked else np.arange(len(points))
+        rivals, slacks = np.empty((60, _kernels.RIVALS + 1), int), np.empty(_kernels.RIVALS + 1)
+        bests, free = np.empty((60, 2)), np.empty(60)
+        guesses = rng.choice(seen, 60)
+        walked(points, around, planes, mask, masked, queries, guesses, rivals, slacks, bests, free)
+        assert np.isin(rivals, seen).all()
+        for query, near, (best, slack), moves in zip(queries, rivals, bests, free, strict=True):
+            if moves < 0:
+                continue  # says that it does not know
+            sure += 1
+            match, best = near[0], int(best)
+            assert to_planes(points, seen, best, query).min() > -1e-9, "another vertex is nearer"
+            others = ~np.isin(seen, near)
+            assert moves <= to_planes(points, seen, match, query)[others].min(initial=np.inf) + 1e-9
+            among = to_planes(points, seen, best, query)[~others]
+            np.testing.assert_allclose(slack, among.min(), atol=1e-9)
+    assert sure > 20 or kind != "surface"
+
+
+def to_planes(points, seen, match, query):
+    """Distances to the planes half way between a match and others; infinite for those at its place."""
+    away = points[seen] - points[match]
+    gaps = np.linalg.norm(away, axis=1)
+    along = (away * ((points[seen] + points[match]) / 2 - query)).sum(axis=1)
+    return np.divide(along, gaps, out=np.full(len(seen), np.inf), where=gaps > 0)
 
 
 def test_vertices_listed_twice_change_nothing():
@@ -373,6 +448,7 @@ def test_bad_input_is_named(change, error, says):
         {"translation_tolerance": "0.1"},
         {"rotation_tolerance": np.nan},
         {"rotation_tolerance": np.inf},
+        {"step": "newton"},
     ],
 )
 def test_settings_out_of_range_are_named(wrong):

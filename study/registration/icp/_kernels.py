@@ -2,129 +2,35 @@
 
 Three things make it quick and change no result.
 
-- A search begins with the vertices that were nearest the last time: they bound it from the first box on.
-- A match is kept without a search for as long as no other vertex can have become nearer. With the
-  nearest vertex at d1 and the second nearest at d2, the point first has to move by (d2 - d1) / 2.
-  How far a point at distance r from the swab's centroid can have moved is at most T + C r, where T adds
-  up the centroid's steps and C the chords 2 sin(angle / 2) of the rotations.
-- The sums that the closed-form rotation needs are updated for the matches that changed.
+- A search begins with the vertex that was nearest the last time, and its neighbours: mostly they suffice.
+  Where they do not, they bound the search through the tree.
+- A match is kept without a search for as long as the point cannot have crossed a plane half way to
+  another vertex. How far a point at distance r from the swab's centroid can have moved is at most
+  T + C r, where T adds up the centroid's steps and C the chords 2 sin(angle / 2) of the rotations.
+- The sums that the best rotation needs are updated for the matches that changed.
 """
 
 from __future__ import annotations
 
-from math import asin, sqrt
+from math import asin, cos, sin, sqrt
 
 import numpy as np
 
 from study._compiled import inner, threaded
 from study.registration._kernels import rotation_of_sums
+from study.registration.icp.nearest._kernels import (
+    DEPTH,
+    RIVALS,
+    best_rival,
+    nearest_two,
+    same_place,
+    walk,
+)
 
 REFRESH = 32  # iterations after which the sums are made afresh, so that round-off does not pile up
-DEPTH = 64  # of a search's stack; a tree of that many levels holds more vertices than there are
 FLAT = 1e-9  # eigenvalue gap over the swab's sum of squares: below, the matches fix no rotation
 NEAR_TIE = 1e-9  # shares of slack and of coordinates that round-off could decide
 ROUND_OFF = 1e-12
-
-
-@inner
-def _box_distance(boxes, node, x, y, z):
-    """Squared distance from a point to a node's box; in floating point too never above one to its points."""
-    dx = max(max(boxes[node, 0] - x, x - boxes[node, 3]), 0.0)
-    dy = max(max(boxes[node, 1] - y, y - boxes[node, 4]), 0.0)
-    dz = max(max(boxes[node, 2] - z, z - boxes[node, 5]), 0.0)
-    return dx * dx + dy * dy + dz * dz
-
-
-@inner
-def _distance(points, j, x, y, z):
-    """Squared distance from a point to a vertex."""
-    dx = points[j, 0] - x
-    dy = points[j, 1] - y
-    dz = points[j, 2] - z
-    return dx * dx + dy * dy + dz * dz
-
-
-@inner
-def _same(points, i, j):
-    """Whether two vertices lie at the same place."""
-    return points[i, 0] == points[j, 0] and points[i, 1] == points[j, 1] and points[i, 2] == points[j, 2]
-
-
-@inner
-def nearest_two(points, ends, boxes, kept, masked, stack, bounds, x, y, z, first, second):
-    """Nearest vertex and the nearest that lies elsewhere; of equally near ones the first in the tree's order.
-
-    Parameters
-    ----------
-    points, ends, boxes
-        Of a `SurfaceTree`.
-    kept : (v,) bool array
-        Which points to see, if `masked`.
-    stack, bounds : (DEPTH,) int and float arrays
-        Used up.
-    x, y, z : float
-        mm.
-    first, second : int
-        Points that may be the answer; they bound the search. Both -1 where nothing is known, and the
-        same `second` where there is none.
-
-    Returns
-    -------
-    int, float, int, float
-        Nearest and second nearest point, each with its squared distance, mm^2.
-    """
-    near = np.inf
-    next_ = np.inf
-    if first >= 0:
-        near = _distance(points, first, x, y, z)
-    if second >= 0:
-        next_ = _distance(points, second, x, y, z)
-        if next_ < near or (next_ == near and second < first):
-            first, second = second, first
-            near, next_ = next_, near
-    leaves = ends.shape[0] - 1
-    stack[0] = 1
-    bounds[0] = 0.0
-    top = 1
-    while top > 0:
-        top -= 1
-        node = stack[top]
-        if bounds[top] > next_:
-            continue
-        if node < leaves:
-            one = 2 * node
-            other = one + 1
-            near_one = _box_distance(boxes, one, x, y, z)
-            near_other = _box_distance(boxes, other, x, y, z)
-            if near_one > near_other:
-                one, other = other, one
-                near_one, near_other = near_other, near_one
-            if near_other <= next_:
-                stack[top] = other
-                bounds[top] = near_other
-                top += 1
-            if near_one <= next_:
-                stack[top] = one
-                bounds[top] = near_one
-                top += 1
-            continue
-        for j in range(ends[node - leaves], ends[node - leaves + 1]):
-            if masked and not kept[j]:
-                continue
-            d = _distance(points, j, x, y, z)
-            if d > next_ or j in (first, second):
-                continue
-            if d == near and _same(points, j, first):
-                first = min(first, j)
-            elif d < near or (d == near and j < first):
-                second = first
-                next_ = near
-                first = j
-                near = d
-            elif d < next_ or j < second:
-                second = j
-                next_ = d
-    return first, near, second, next_
 
 
 @inner
@@ -143,29 +49,116 @@ def _sum_up(points, swab, matches, s, total):
 
 
 @inner
-def _match(tree, kept, masked, swab, radii, turn, centre, path, close, matches, seconds, expiry, work):
+def _inverse_inertia(swab, out):
+    """Inverse of the centred swab's tensor of inertia: from a torque to a small rotation."""
+    xx = yy = zz = xy = xz = yz = 0.0
+    for i in range(swab.shape[0]):
+        x, y, z = swab[i, 0], swab[i, 1], swab[i, 2]
+        xx += y * y + z * z
+        yy += x * x + z * z
+        zz += x * x + y * y
+        xy -= x * y
+        xz -= x * z
+        yz -= y * z
+    a = yy * zz - yz * yz
+    b = xz * yz - xy * zz
+    c = xy * yz - xz * yy
+    scale = 1.0 / (xx * a + xy * b + xz * c)
+    out[0, 0] = a * scale
+    out[0, 1] = out[1, 0] = b * scale
+    out[0, 2] = out[2, 0] = c * scale
+    out[1, 1] = (xx * zz - xz * xz) * scale
+    out[1, 2] = out[2, 1] = (xy * xz - xx * yz) * scale
+    out[2, 2] = (xx * yy - xy * xy) * scale
+
+
+@inner
+def _small_step(s, total, count, inverse, turn, centre, new, new_centre):
+    """Gauss-Newton step: the rigid motion whose first order in the swab's own axes fits best.
+
+    It is applied as the exponential of that motion, so that the result is rigid.
+    """
+    torque = np.empty(3)
+    angle = np.empty(3)
+    shift = np.empty(3)
+    for r in range(3):
+        a = (r + 1) % 3
+        b = (r + 2) % 3
+        torque[r] = 0.0
+        shift[r] = 0.0
+        for c in range(3):
+            torque[r] += s[a, c] * turn[c, b] - s[b, c] * turn[c, a]
+            shift[r] += turn[c, r] * (total[c] / count - centre[c])
+    square = 0.0
+    for r in range(3):
+        angle[r] = inverse[r, 0] * torque[0] + inverse[r, 1] * torque[1] + inverse[r, 2] * torque[2]
+        square += angle[r] * angle[r]
+    size = sqrt(square)
+    first = 1.0
+    second = 0.5
+    third = 1.0 / 6.0
+    if size > 1e-4:  # below, the series' next terms are under round-off
+        first = sin(size) / size
+        second = (1.0 - cos(size)) / square
+        third = (1.0 - first) / square
+    for r in range(3):
+        new_centre[r] = centre[r]
+        for c in range(3):
+            new[r, c] = 0.0
+    for k in range(3):
+        for c in range(3):
+            # Rodrigues' formula for the rotation, and its mean along the way for the shift.
+            skew = 0.0
+            if k != c:
+                skew = angle[3 - k - c] if (c - k) % 3 == 2 else -angle[3 - k - c]
+            squared = angle[k] * angle[c]
+            same = 0.0
+            if k == c:
+                squared -= square
+                same = 1.0
+            rotation = same + first * skew + second * squared
+            along = same + second * skew + third * squared
+            for r in range(3):
+                new[r, c] += turn[r, k] * rotation
+                new_centre[r] += turn[r, k] * along * shift[c]
+
+
+@inner
+def _match(tree, kept, masked, swab, radii, turn, centre, path, close, matches, rivals, expiry, work):
     """Search for the points whose match may have changed; keep the sums; return how many did change.
 
-    `path` holds T and C of the module's text; a point's match holds while T + C r is below its `expiry`.
+    `path` holds T and C of the module's text. While T + C r is below the first value of a point's `expiry`
+    its match holds; while it is below the second the match is among its `rivals`.
     """
-    points, ends, boxes = tree
-    s, total, stack, bounds = work
+    points, ends, boxes, around, planes = tree
+    s, total, slacks, stack, bounds = work
     changed = 0
     for i in range(matches.shape[0]):
         moved = path[0] + path[1] * radii[i]
-        if moved < expiry[i]:
+        if moved < expiry[i, 0]:
             continue
         a, b, c = swab[i, 0], swab[i, 1], swab[i, 2]
         x = turn[0, 0] * a + turn[0, 1] * b + turn[0, 2] * c + centre[0]
         y = turn[1, 0] * a + turn[1, 1] * b + turn[1, 2] * c + centre[1]
         z = turn[2, 0] * a + turn[2, 1] * b + turn[2, 2] * c + centre[2]
         before = matches[i]
-        first, near, second, next_ = nearest_two(
-            points, ends, boxes, kept, masked, stack, bounds, x, y, z, before, seconds[i]
-        )
-        seconds[i] = second
-        expiry[i] = moved + 0.5 * (sqrt(next_) - sqrt(near)) * (1.0 - NEAR_TIE) - close
-        if first != before:
+        if moved >= expiry[i, 1]:
+            slack = -1.0
+            known = before
+            if before >= 0:
+                slack = walk(points, around, planes, kept, masked, close, x, y, z, before, rivals, i, slacks)
+                known = rivals[i, 0]
+            if slack < 0.0:
+                first, near, next_ = nearest_two(
+                    points, ends, boxes, kept, masked, stack, bounds, x, y, z, known
+                )
+                slack = 0.5 * (sqrt(next_) - sqrt(near))
+                for k in range(RIVALS + 1):
+                    rivals[i, k] = first
+            expiry[i, 1] = moved + slack * (1.0 - NEAR_TIE) - close
+        first, slack = best_rival(points, rivals, i, x, y, z)
+        expiry[i, 0] = min(moved + slack * (1.0 - NEAR_TIE) - close, expiry[i, 1])
+        if before < 0 or (first != before and not same_place(points, first, before)):
             changed += 1
             matches[i] = first
             for k in range(3):
@@ -180,26 +173,28 @@ def _match(tree, kept, masked, swab, radii, turn, centre, path, close, matches, 
 
 
 @inner
-def _fit(tree, kept, masked, swab, radii, pose, limits, matches, seconds, expiry, out):
+def _fit(tree, kept, masked, swab, radii, pose, limits, matches, rivals, expiry, out):
     """Run one start until it stops; see `fit_many`. Return converged, iterations and RMS distance."""
-    max_iterations, translation_tolerance, rotation_tolerance, scale = limits
+    max_iterations, translation_tolerance, rotation_tolerance, scale, closed = limits
     points = tree[0]
     count = matches.shape[0]
     turn = np.empty((3, 3))
     new = np.empty((3, 3))
     centre = np.empty(3)
+    new_centre = np.empty(3)
+    inverse = np.empty((3, 3))
     total = np.zeros(3)
     s = np.zeros((3, 3))
     h = np.empty((4, 4))
     v = np.empty((4, 4))
     q = np.empty(4)
     path = np.zeros(2)
-    work = (s, total, np.empty(DEPTH, np.int64), np.empty(DEPTH))
+    work = (s, total, np.empty(RIVALS + 1), np.empty(DEPTH, np.int64), np.empty(DEPTH))
     flat = 0.0
     for i in range(count):
         matches[i] = -1
-        seconds[i] = -1
-        expiry[i] = -np.inf
+        expiry[i, 0] = -np.inf
+        expiry[i, 1] = -np.inf
         flat += FLAT * radii[i] * radii[i]
     reach = scale
     for r in range(3):
@@ -208,28 +203,35 @@ def _fit(tree, kept, masked, swab, radii, pose, limits, matches, seconds, expiry
         for c in range(3):
             turn[r, c] = pose[r, c]
     close = ROUND_OFF * reach
+    if not closed:
+        _inverse_inertia(swab, inverse)
     iterations = 0
     converged = False
     small = False
     while True:
         changed = _match(
-            tree, kept, masked, swab, radii, turn, centre, path, close, matches, seconds, expiry, work
+            tree, kept, masked, swab, radii, turn, centre, path, close, matches, rivals, expiry, work
         )
-        if iterations > 0 and (changed == 0 or small):
+        if iterations > 0 and (small or (closed and changed == 0)):
             converged = True
             break
         if iterations == max_iterations:
             break
         if iterations % REFRESH == 0:
             _sum_up(points, swab, matches, s, total)
-        if rotation_of_sums(s, h, v, q, new) <= flat:
+        if not closed:
+            _small_step(s, total, count, inverse, turn, centre, new, new_centre)
+        elif rotation_of_sums(s, h, v, q, new) <= flat:
             break  # all matches on one line, or one vertex: no rotation is the best
+        else:
+            for r in range(3):
+                new_centre[r] = total[r] / count
         shift = 0.0
         chord = 0.0
         for r in range(3):
-            step = total[r] / count - centre[r]
+            step = new_centre[r] - centre[r]
             shift += step * step
-            centre[r] += step
+            centre[r] = new_centre[r]
             for c in range(3):
                 step = new[r, c] - turn[r, c]
                 chord += step * step
@@ -261,13 +263,13 @@ def _fit(tree, kept, masked, swab, radii, pose, limits, matches, seconds, expiry
 
 
 @threaded
-def fit_many(points, ends, boxes, kept, masked, swabs, radii, poses, limits, out, converged, iterations, rms):
+def fit_many(tree, kept, masked, swabs, radii, poses, limits, out, converged, iterations, rms):
     """Fit a swab from each of many starts.
 
     Parameters
     ----------
-    points, ends, boxes
-        Of a `SurfaceTree`.
+    tree : tuple of arrays
+        ``points``, ``ends``, ``boxes``, ``around`` and ``planes`` of a `SurfaceTree`.
     kept : (n, v) bool array
         In the tree's order; which vertices each start sees, if `masked`.
     swabs : (n or 1, p, 3) float array
@@ -276,9 +278,10 @@ def fit_many(points, ends, boxes, kept, masked, swabs, radii, poses, limits, out
         Distances of its points from the swab's centroid, mm.
     poses : (n, 3, 4) float array
         Rotation and centroid of the swab at the start, less the tree's origin.
-    limits : (int, float, float, float) tuple
-        Iterations at most, translation (mm) and rotation (rad) below which a step counts as none, and
-        the size of the coordinates (mm), which says what round-off can do.
+    limits : (int, float, float, float, bool) tuple
+        Iterations at most, translation (mm) and rotation (rad) below which a step counts as none, the
+        size of the coordinates (mm), which says what round-off can do, and whether steps are the best
+        fit in closed form or to first order.
     out : (n, 3, 4) float array
         Receives rotation and centroid of the swab at the end.
     converged, iterations, rms : (n,) bool, int and float arrays
@@ -286,9 +289,8 @@ def fit_many(points, ends, boxes, kept, masked, swabs, radii, poses, limits, out
     """
     count = swabs.shape[1]
     matches = np.empty(count, np.int64)
-    seconds = np.empty(count, np.int64)
-    expiry = np.empty(count)
-    tree = (points, ends, boxes)
+    rivals = np.empty((count, RIVALS + 1), np.int64)
+    expiry = np.empty((count, 2))
     for n in range(poses.shape[0]):
         own = n if swabs.shape[0] > 1 else 0
         mask = n if masked else 0
@@ -301,7 +303,7 @@ def fit_many(points, ends, boxes, kept, masked, swabs, radii, poses, limits, out
             poses[n],
             limits,
             matches,
-            seconds,
+            rivals,
             expiry,
             out[n],
         )

@@ -9,8 +9,8 @@ from numpy.typing import ArrayLike
 
 from study.errors import GeometryError, InputError
 from study.registration.icp import _kernels
+from study.registration.icp.nearest import SurfaceTree
 from study.registration.icp.settings import IcpSettings
-from study.registration.icp.tree import SurfaceTree
 from study.registration.rigid import COLLINEAR
 from study.threads import in_threads
 
@@ -108,6 +108,7 @@ def register_surface(
         float(settings.translation_tolerance),
         float(settings.rotation_tolerance),
         float(np.abs(tree.boxes[1]).max() + radii.max()),
+        settings.step == "closed_form",
     )
     ends = np.empty_like(poses)
     converged, iterations, rms = (np.empty(len(starts), kind) for kind in (bool, np.int64, float))
@@ -115,9 +116,7 @@ def register_surface(
     def part(piece: slice) -> None:
         own = piece if len(centred) > 1 else slice(None)
         _kernels.fit_many(
-            tree.points,
-            tree.ends,
-            tree.boxes,
+            tree.arrays,
             np.take(kept[piece], tree.order, axis=1) if masked else kept,
             masked,
             centred[own],

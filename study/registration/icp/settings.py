@@ -8,6 +8,9 @@ import numpy as np
 
 from study.errors import InputError
 
+#: How the next transform follows from the matches.
+STEPS = ("closed_form", "gauss_newton")
+
 
 @dataclass(frozen=True)
 class IcpSettings:
@@ -26,6 +29,10 @@ class IcpSettings:
         Below which the last step of the swab's centroid counts as none, mm.
     rotation_tolerance : float
         Below which the angle of the last step counts as none, rad.
+    step : str
+        "closed_form": the best transform for the matches (Horn). "gauss_newton": the best one to first
+        order in the rotation, as libraries that optimise it have. Both end in the same fixed points, but
+        not always in the same one from the same start.
 
     Raises
     ------
@@ -36,6 +43,7 @@ class IcpSettings:
     max_iterations: int = 500
     translation_tolerance: float = 1e-5
     rotation_tolerance: float = 1e-7
+    step: str = STEPS[0]
 
     def __post_init__(self) -> None:
         count = self.max_iterations
@@ -49,6 +57,9 @@ class IcpSettings:
                 or not 0 <= value < np.inf
             ):
                 raise InputError(f"{name}: expected a finite number of at least 0 {unit}, got {value!r}")
+
+        if self.step not in STEPS:
+            raise InputError(f"step: expected one of {', '.join(STEPS)}, got {self.step!r}")
 
     @classmethod
     def published(cls) -> IcpSettings:
