@@ -29,8 +29,6 @@ from study.margins.violations import grow_by_violations
 from study.registration.sources import ErrorSource, displacement_moments
 from study.volumes import LabelVolume
 
-_EXACT = {"protect": grow_exactly, "remove": grow_to_remove, "stay_inside": grow_to_stay_inside}
-
 
 def grow_margin(
     volume: LabelVolume,
@@ -113,9 +111,11 @@ def grow_margin(
             )
         acceptable_risk = ACCEPTABLE_RISKS[name]
     checked_share("acceptable_risk", acceptable_risk)
-    growing, validating = np.random.default_rng(rng).spawn(2)
-    moments = displacement_moments(model)
-    metric = moments if shape == "spatially_varying" else euclidean()
+    growing, validating, ranks_from = np.random.default_rng(rng).spawn(3)
+    moments = metric = None
+    if purpose == "protect":
+        moments = displacement_moments(model)
+        metric = moments if shape == "spatially_varying" else euclidean()
     task = Task(
         volume,
         mask,
@@ -125,14 +125,19 @@ def grow_margin(
         acceptable_risk,
         settings.decay_start_of(name),
         settings,
-        "standard deviations" if shape == "spatially_varying" else "mm",
+        shape,
+        purpose,
     )
     if settings.method == "published":
         grow = grow_as_published if purpose == "protect" else grow_by_violations
         grown = grow(task, growing, validating)
     else:
         allowed = allowed_hits(settings.registrations, acceptable_risk, settings.confidence)
-        grown = _EXACT[purpose](task, allowed, growing, validating)
+        if purpose == "protect":
+            grown = grow_exactly(task, allowed, growing, validating)
+        else:
+            grow = grow_to_remove if purpose == "remove" else grow_to_stay_inside
+            grown = grow(task, allowed, growing, validating, ranks_from)
     found = vars(grown)
     if grown.volume is None:
         found |= {"volume": volume, "structure_mask": mask}

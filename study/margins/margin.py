@@ -44,7 +44,8 @@ class SafetyMargin:
         On registrations never used before.
     distance : float
         Largest distance from a voxel of the margin to the structure's surface: standard deviations of the
-        error, mm for constant thickness.
+        error, mm for constant thickness. To remove or to stay inside always mm, to the nearest voxel from
+        which the margin begins.
     edge_share : float
         Share of the structure's surface, in voxel faces, that is only the edge of the volume.
     time_s : float
@@ -111,8 +112,8 @@ class SafetyMargin:
         Returns
         -------
         DataFrame
-            ``margin_voxels``, ``volume_mm3``, ``distance`` (standard deviations, or mm for constant
-            thickness), ``risk``. Exact method: the share of the registrations with which the margin was
+            ``margin_voxels``, ``volume_mm3``, ``distance`` (standard deviations or mm, as
+            of the margin), ``risk``. Exact method: the share of the registrations with which the margin was
             chosen that do damage, at every margin where it changes, as far as voxels were ranked (to a
             third of the acceptable risk at least). Published method: its steps.
         """

@@ -167,17 +167,36 @@ def largest_losses(
     return out
 
 
+def appearance_counts(
+    region: Region, transforms: np.ndarray, points: np.ndarray, union: np.ndarray
+) -> np.ndarray:
+    """(nx, ny, nz) int32 array: registrations in which any of the points appears in each voxel.
+
+    Parameters
+    ----------
+    region : Region
+    transforms : (n, 4, 4) array
+        mm.
+    points : (m, 3) float array
+        Voxels of the region.
+    union : (nx, ny, nz) uint8 array
+        Where nothing is counted.
+    """
+    moves = appearing(region, transforms)
+    found = []
+
+    def part(piece: slice) -> None:
+        counts, seen = np.zeros(region.shape, np.int32), np.zeros(region.shape, np.int32)
+        _kernels.count_violations(moves[piece], points, union, seen, counts)
+        found.append(counts)
+
+    in_threads(part, len(moves), least=500)
+    return sum(found[1:], found[0])
+
+
 def counted_violations(region: Region, union: np.ndarray, transforms: np.ndarray) -> np.ndarray:
     """(nx, ny, nz) int32 array: registrations in which the structure's boundary overlaps each voxel.
 
     Zero in `union`; the text's point damage risk is this over the number of registrations (4.2.4).
     """
-    counts = np.zeros(region.shape, np.int32)
-    _kernels.count_violations(
-        appearing(region, transforms),
-        boundary_centres(region.solid),
-        union,
-        np.zeros(region.shape, np.int32),
-        counts,
-    )
-    return counts
+    return appearance_counts(region, transforms, boundary_centres(region.solid), union)

@@ -1,9 +1,9 @@
 """The smallest margin to remove, and the region to stay in, as order statistics.
 
 As in `study.margins.exact`: the order in which voxels enter the margin comes from one set of registrations
-(or from the model's own covariance), so that every registration of a second set has one margin from which on
-it does no damage, and a third says how good that is. Ranking and stopping on the same set would be a margin
-fitted to its own registrations.
+(`study.margins.coverage`) or from distances alone, so that every registration of a second set has one margin
+from which on it does no damage, and a third says how good that is. Ranking and stopping on the same set would
+be a margin fitted to its own registrations.
 """
 
 from __future__ import annotations
@@ -12,9 +12,9 @@ import numpy as np
 from scipy import ndimage
 
 from study.errors import MarginError
-from study.margins.exact import Choice, Ranking, in_order
+from study.margins.coverage import coverage, loss, millimetres_to
+from study.margins.exact import Choice, Ranking
 from study.margins.overall_risk import RiskEstimate
-from study.margins.point_risk import all_distances
 from study.margins.protrusion import (
     farthest_moved,
     largest_losses,
@@ -27,7 +27,11 @@ from study.margins.task import Grown, Task
 
 
 def grow_to_remove(
-    task: Task, allowed: int, growing: np.random.Generator, validating: np.random.Generator
+    task: Task,
+    allowed: int,
+    growing: np.random.Generator,
+    validating: np.random.Generator,
+    ranks_from: np.random.Generator,
 ) -> Grown:
     """The smallest margin that the structure leaves in at most `allowed` of the simulated registrations.
 
@@ -37,6 +41,8 @@ def grow_to_remove(
     allowed : int
     growing, validating : Generator
         For the registrations that the margin is chosen on, and for fresh ones.
+    ranks_from : Generator
+        For those that voxels are ranked by.
 
     Raises
     ------
@@ -47,11 +53,10 @@ def grow_to_remove(
     reach = _reach(task, transforms, allowed)
     volume, mask, added = with_room(task.volume, task.mask, reach)
     region = Region.around(mask, volume, reach)
-    # A cavity would be spared in the middle of what is removed: it comes first.
     cavity = ndimage.binary_fill_holes(region.solid) & (region.solid == 0)
     near = cavity.copy()
     near[tuple(region.near(lambda points: np.full(len(points), reach)).T)] = True
-    ranking = _ranked(region, np.argwhere(near), task, cavity)
+    ranking = _ranked(region, np.argwhere(near), task, ranks_from)
     ranks = np.full(region.shape, len(ranking.order) + 1, np.int32)
     ranks.reshape(-1)[ranking.order] = np.arange(1, len(ranking.order) + 1, dtype=np.int32)
     ranks[region.solid == 1] = 0
@@ -78,7 +83,11 @@ def grow_to_remove(
 
 
 def grow_to_stay_inside(
-    task: Task, allowed: int, growing: np.random.Generator, validating: np.random.Generator
+    task: Task,
+    allowed: int,
+    growing: np.random.Generator,
+    validating: np.random.Generator,
+    ranks_from: np.random.Generator,
 ) -> Grown:
     """The smallest rim to avoid, so that at most `allowed` registrations lose any of what is inside.
 
@@ -90,6 +99,8 @@ def grow_to_stay_inside(
     allowed : int
     growing, validating : Generator
         For the registrations that the margin is chosen on, and for fresh ones.
+    ranks_from : Generator
+        For those that voxels are ranked by.
 
     Raises
     ------
@@ -99,7 +110,7 @@ def grow_to_stay_inside(
     transforms, fresh = task.registrations(growing), task.fresh_registrations(validating)
     inner = Region.around(task.mask, task.volume, 0.0)
     region = with_edge(inner)
-    ranking = _ranked(region, np.argwhere(region.solid), task)
+    ranking = _ranked(region, np.argwhere(region.solid), task, ranks_from)
     order, distances = ranking.order, ranking.distances
     ranks = np.arange(1, len(order) + 1)
     needs = largest_losses(region, order, ranks, transforms)
@@ -108,7 +119,7 @@ def grow_to_stay_inside(
         raise MarginError(
             f"stay_inside: expected a region that lands in the structure in all but {allowed} of "
             f"{len(needs)} registrations; {np.count_nonzero(needs == size)} of them lose even its "
-            f"innermost voxel, {distances.max():.3g} {task.unit} from the surface"
+            f"innermost voxel, {distances.max():.3g} mm from the outside"
         )
     margin = np.zeros(region.shape, bool)
     margin.reshape(-1)[order[:size]] = True
@@ -127,14 +138,22 @@ def grow_to_stay_inside(
     )
 
 
-def _ranked(region: Region, voxels: np.ndarray, task: Task, first: np.ndarray | None = None) -> Ranking:
-    """Voxels by their distance to the structure's surface in the task's metric; a mask of voxels at 0."""
-    distances = all_distances(region, voxels, task.metric)
-    if first is not None:
-        distances[first[tuple(voxels.T)]] = 0.0
+def _ranked(region: Region, voxels: np.ndarray, task: Task, ranking: np.random.Generator) -> Ranking:
+    """Voxels in the order in which they enter the margin, and how far they are from where it begins, mm."""
+    remove = task.purpose == "remove"
+    millimetres = millimetres_to((region.solid == 1) == remove, region.affine)[tuple(voxels.T)]
     flat = np.ravel_multi_index(tuple(voxels.T), region.shape)
-    order = in_order(distances, flat)
-    return Ranking(flat[order], distances[order])
+    keys = [flat, millimetres]
+    if task.shape == "spatially_varying":
+        transforms = task.ranking_registrations(ranking)
+        risk = coverage(region, transforms) if remove else loss(region, transforms)
+        keys.append(-risk[tuple(voxels.T)])
+    if remove:
+        # A cavity would be spared in the middle of what is removed: it comes first.
+        cavity = ndimage.binary_fill_holes(region.solid) & (region.solid == 0)
+        keys.append(~cavity[tuple(voxels.T)])
+    order = np.lexsort(keys)
+    return Ranking(flat[order], np.maximum.accumulate(millimetres[order]))
 
 
 def _reach(task: Task, transforms: np.ndarray, allowed: int) -> float:

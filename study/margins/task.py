@@ -24,29 +24,33 @@ class Task:
     mask : (nx, ny, nz) bool array
         The structure.
     model : ErrorSource
-    moments : DisplacementMoments
-        Of the model.
-    metric : DisplacementMoments
-        By which voxels are ranked: `moments`, or such that distances are mm.
+    moments : DisplacementMoments or None
+        Of the model, to protect.
+    metric : DisplacementMoments or None
+        By which voxels are ranked to protect: `moments`, or such that distances are mm.
     acceptable_risk, decay_start : float
     settings : GrowthSettings
-    unit : str
-        Of the metric's distances.
+    shape, purpose : str
     """
 
     volume: LabelVolume
     mask: np.ndarray
     model: ErrorSource
-    moments: DisplacementMoments
-    metric: DisplacementMoments
+    moments: DisplacementMoments | None
+    metric: DisplacementMoments | None
     acceptable_risk: float
     decay_start: float
     settings: GrowthSettings
-    unit: str = "standard deviations"
+    shape: str = "spatially_varying"
+    purpose: str = "protect"
 
     def registrations(self, rng: np.random.Generator) -> np.ndarray:
         """(n, 4, 4) simulated registrations to grow on."""
         return checked_transforms(self.model, self.settings.registrations, rng)
+
+    def ranking_registrations(self, rng: np.random.Generator) -> np.ndarray:
+        """(n, 4, 4) simulated registrations to rank voxels by."""
+        return checked_transforms(self.model, self.settings.violation_registrations, rng)
 
     def fresh_registrations(self, rng: np.random.Generator) -> np.ndarray:
         """(n, 4, 4) simulated registrations for validation, possibly none."""

@@ -14,7 +14,7 @@ import pandas as pd
 from scipy import ndimage
 
 from study.errors import MarginError
-from study.margins.point_risk import all_distances
+from study.margins.coverage import millimetres_to
 from study.margins.protrusion import counted_violations, farthest_moved, protrusion_risk
 from study.margins.published import shell_of, transfer_share
 from study.margins.region import Region
@@ -77,8 +77,8 @@ def grow_by_violations(task: Task, growing: np.random.Generator, validating: np.
     reach = reach_of_most(task, transforms)
     volume, mask, added = with_room(task.volume, task.mask, reach)
     region = Region.around(mask, volume, reach)
-    by_distance = task.unit == "mm"
-    distances = np.full(region.shape, np.nan)
+    by_distance = task.shape == "constant_thickness"
+    distances = millimetres_to(region.solid == 1, region.affine).reshape(-1) if by_distance else None
     violations = Violations(task, transforms, growing)
     union, rows, farthest = region.solid.copy(), [], 0.0
     for _ in range(settings.most_steps):
@@ -101,9 +101,7 @@ def grow_by_violations(task: Task, growing: np.random.Generator, validating: np.
         if estimate.risk <= task.acceptable_risk:
             break
         if by_distance:
-            fresh = np.argwhere(shell & np.isnan(distances))
-            distances[tuple(fresh.T)] = all_distances(region, fresh, task.metric, farthest)
-            candidates, worth = np.flatnonzero(shell), -distances.reshape(-1)
+            candidates, worth = np.flatnonzero(shell), -distances
         else:
             counts, row["counted_registrations"] = violations.counted(region, union, count)
             candidates, worth = np.flatnonzero(counts >= settings.least_violations), counts.reshape(-1)
@@ -113,7 +111,7 @@ def grow_by_violations(task: Task, growing: np.random.Generator, validating: np.
         order = np.lexsort((candidates, -worth[candidates]))
         chosen = candidates[order[:count]]
         if by_distance:
-            farthest = max(farthest, float(distances.reshape(-1)[chosen].max()))
+            farthest = max(farthest, float(distances[chosen].max()))
         before = np.count_nonzero(union)
         union.reshape(-1)[chosen] = 1
         union |= closed(union)

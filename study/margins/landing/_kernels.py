@@ -10,7 +10,7 @@ from math import floor
 
 import numpy as np
 
-from study._compiled import inlined, kernel, threaded
+from study._compiled import inlined, threaded
 
 
 @inlined
@@ -83,7 +83,7 @@ def largest_lost(moves, points, ranks, solid, out):
                 break
 
 
-@kernel
+@threaded
 def count_violations(moves, points, union, seen, counts):
     """Count for each voxel outside a union the transforms that put a point into it, each once.
 
@@ -106,3 +106,25 @@ def count_violations(moves, points, union, seen, counts):
             if 0 <= i < nx and 0 <= j < ny and 0 <= k < nz and union[i, j, k] == 0 and seen[i, j, k] != n + 1:
                 seen[i, j, k] = n + 1
                 counts[i, j, k] += 1
+
+
+@threaded
+def count_lost(moves, points, solid, counts):
+    """Count for each point the transforms that do not put it into a structure.
+
+    Parameters
+    ----------
+    moves : (n, 3, 4) float array
+        From voxels to voxels.
+    points : (m, 3) float array
+    solid : (nx, ny, nz) uint8 array
+        1 in the structure; there is none of it outside the array.
+    counts : (m,) int32 array
+        Counts are added here.
+    """
+    nx, ny, nz = solid.shape
+    for n in range(moves.shape[0]):
+        for m in range(points.shape[0]):
+            i, j, k = _landed(moves[n], points[m])
+            if not (0 <= i < nx and 0 <= j < ny and 0 <= k < nz and solid[i, j, k]):
+                counts[m] += 1
