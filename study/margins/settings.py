@@ -64,12 +64,13 @@ class GrowthSettings:
     most_steps : int
         Steps after which growth counts as stalled.
     violation_registrations : int
-        "published" and to remove only, as the rest: registrations N_p of which violations are counted at a
-        time (4.3.1). The first are those on which growth stops, as printed.
+        To remove and to stay inside only, as the rest: registrations of which violations are counted at a
+        time, N_p (4.3.1). With "exact" a set of its own that ranks the voxels; with "published" the first
+        are those on which growth stops, as printed.
     violation_ratio : float
-        R_s, not printed: as long as there are no more violated voxels than this times the voxels to be
-        transferred, violations of N_p more registrations are counted (4.2.4). More of it ranks the voxels
-        better and takes longer.
+        "published" only, as the rest: R_s, not printed. As long as there are no more violated voxels than
+        this times the voxels to be transferred, violations of N_p more registrations are counted (4.2.4).
+        More of it ranks the voxels better and takes longer.
     least_violations : int
         T_r, not printed: voxels that fewer registrations violate never enter the margin (4.2.4). More of it
         keeps single gross misregistrations out and may stall growth above the acceptable risk.
