@@ -16,6 +16,7 @@ from study.experiments.kidney_claims import QUANTITIES, own_claims, printed_rows
 from study.experiments.kidney_draws import RememberedRegistrations, scatter_at
 from study.experiments.kidney_margins import (
     RUNS,
+    STOPS,
     TABLES,
     VARIANTS,
     registration_of,
@@ -35,7 +36,7 @@ from study.plots.kidney_tables import (
 from study.registration import SurfaceFits, sampled_moments
 from study.specimens import kidney_case, kidney_catalogue
 
-REGISTRATIONS, FRESH = 120, 60
+REGISTRATIONS, FRESH = 60, 40
 TITLES = {name: run.title for name, run in RUNS.items()}
 
 
@@ -88,6 +89,7 @@ def rows_of(volume, scatter=lambda run, t, p, r: 1.0, runs=RUNS, tumours=(1, 2))
                         {
                             "tumour": tumour, "kidney": f"K{tumour}", "table": TABLES[position, tilt],
                             "pos_std_mm": position, "rot_std_deg": tilt, "run": run, "variant": variant,
+                            "stop": RUNS[run].stop,
                             "margin_volume_mm3": volume(run, variant, tumour, position, tilt),
                             "final_damage_probability": 0.008, "mahalanobis_mean": 3.0,
                             "mahalanobis_std": 0.5 if variant == "SV" else 1.0, "time_min": 0.1,
@@ -168,7 +170,7 @@ def test_rows_are_what_growing_a_margin_says(found):
     case = kidney_case("K2")
     seed = [0, zlib.crc32(b"K2")]
     for run in ("published", "loose"):
-        fresh = RememberedRegistrations(registration_of(case, 5.0, 5.0, True), 100)
+        fresh = RememberedRegistrations(registration_of(case, 5.0, 5.0, "loose"), 100)
         model = SimpleNamespace(sample=fresh.model.sample, moments=fresh.moments)
         settings = GrowthSettings.for_removal(
             RUNS[run].method, registrations=REGISTRATIONS, violation_registrations=REGISTRATIONS,
@@ -188,7 +190,7 @@ def test_rows_are_what_growing_a_margin_says(found):
 def test_rows_say_how_the_fits_ended(found):
     rows = found.rows.set_index(["run", "variant"])
     case = kidney_case("K2")
-    model = registration_of(case, 5.0, 5.0, True)
+    model = registration_of(case, 5.0, 5.0, "loose")
     growing, _ = np.random.default_rng([0, zlib.crc32(b"K2")]).spawn(2)
     fits = model.register(REGISTRATIONS, growing)
     row = rows.loc["loose", "CT"]
@@ -250,8 +252,8 @@ def test_printed_and_ours_stand_side_by_side():
     none = as_printed(printed_beside_ours(rows[rows["table"] != "B.4"], "B.4", list(RUNS)))
     assert len(none) == len(QUANTITIES) and none.shape[1] == 8
     text = beyond_print(rows)
-    assert len(text) == len(rows) and text.iloc[0, 4] == "0.0090 (0.0070 to 0.0110)"
-    assert starts_and_scatter(rows).shape == (9, 6)
+    assert len(text) == len(rows) and text.iloc[0, 5] == "0.0090 (0.0070 to 0.0110)"
+    assert starts_and_scatter(rows).shape == (9, 4)
 
 
 # Claims
@@ -342,8 +344,8 @@ def test_exponents_of_scatter_stand_once_for_runs_on_the_same_registrations():
     rows = rows_of(proportional, lambda run, t, p, r: p if run == "converged" else p**2)
     table = exponents_of({name: rows[rows["run"] == name] for name in RUNS} | {"print": printed_rows()})
     scatter = table[table["quantity"] == "scatter_mm"].set_index(["whose", "error"])["exponent"]
-    assert set(scatter.index.get_level_values(0)) == {"published", "converged"}
-    assert scatter["published", "pos_std_mm"] == pytest.approx(2)
+    assert set(scatter.index.get_level_values(0)) == {"loose stop", "converged"}
+    assert scatter["loose stop", "pos_std_mm"] == pytest.approx(2)
     assert scatter["converged", "pos_std_mm"] == pytest.approx(1)
     assert len(table) == 2 * (4 * 2 + 2)
 
@@ -368,7 +370,7 @@ def test_pictures_show_every_margin(found):
     notes = [text.get_text() for text in figure.axes[0].texts]
     assert notes == ["18 of 18 are zero"] * 2
     assert len(figure.axes[0].get_yticks()) == len(table) / 2
-    figure = scatter_against_start(rows, {run: TITLES[run] for run in ("loose", "converged")})
+    figure = scatter_against_start(rows, STOPS)
     assert len(figure.axes[0].lines) == 2 * 2
     figure = kidney_risk_curves(found.curves, found.rows, 0.01, TITLES)
     assert len(figure.axes) == 1 and figure.axes[0].get_title(loc="left") == "K2"

@@ -64,9 +64,9 @@ def test_fit_and_interval_are_those_of_a_plain_minimisation():
 
 
 def test_intervals_hold_the_truth_as_often_as_they_say():
-    """400 noisy grids: of 95 % intervals between 92 and 98 % hold it, three binomial SDs either way."""
-    held = [0.8 in fit_power_law(noisy(seed), "volume").exponents["pos_std_mm"] for seed in range(400)]
-    assert 0.917 < np.mean(held) < 0.983
+    """200 noisy grids: of 95 % intervals between 90 and 99.6 % hold it, three binomial SDs either way."""
+    held = [0.8 in fit_power_law(noisy(seed), "volume").exponents["pos_std_mm"] for seed in range(200)]
+    assert 0.904 < np.mean(held) < 0.996
 
 
 def test_tumours_with_an_empty_margin_are_left_out_whole():

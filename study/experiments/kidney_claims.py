@@ -61,8 +61,10 @@ def _pairs(rows: pd.DataFrame, column: str) -> pd.DataFrame:
     return rows.pivot_table(column, WHICH, "variant", sort=False).dropna()
 
 
-def _range(values: pd.Series, pattern: str = ".2f") -> str:
-    return f"{values.min():{pattern}} to {values.max():{pattern}}"
+def range_text(values: pd.Series, pattern: str = ".2f") -> str:
+    """``0.30 to 0.72``; one number where both ends read the same."""
+    low, high = f"{values.min():{pattern}}", f"{values.max():{pattern}}"
+    return low if low == high else f"{low} to {high}"
 
 
 def table_claims(
@@ -107,13 +109,14 @@ def table_claims(
             add(
                 "Spatially varying margins are smaller than those of constant thickness",
                 (ratio < 1).all(),
-                f"in {(ratio < 1).sum()} of {len(ratio)}; {_range(ratio)} times, median {ratio.median():.2f}",
+                f"in {(ratio < 1).sum()} of {len(ratio)}; {range_text(ratio)} times, "
+                f"median {ratio.median():.2f}",
             )
             ratio = spread["SV"] / spread["CT"]
             add(
                 "The final shell's distances scatter less for spatially varying margins",
                 (ratio < 1).all(),
-                f"in {(ratio < 1).sum()} of {len(ratio)}; {_range(ratio)} times",
+                f"in {(ratio < 1).sum()} of {len(ratio)}; {range_text(ratio)} times",
             )
     laws = {v: law_of(part) for v, part in rows.groupby("variant", sort=False)}
     laws = {v: law for v, law in laws.items() if law and law.difference}
@@ -176,7 +179,7 @@ def own_claims(rows: pd.DataFrame, whose: str, acceptable_risk: float = REMOVAL_
     add(
         "The fits converge",
         (each["converged_pct"] >= 99).all(),
-        f"{_range(each['converged_pct'], '.0f')} % of them, {_range(each['iterations_mean'], '.0f')} "
+        f"{range_text(each['converged_pct'], '.0f')} % of them, {range_text(each['iterations_mean'], '.0f')} "
         "iterations on average",
     )
     if len(each[list(ERRORS)].drop_duplicates()) > 1:
@@ -184,7 +187,7 @@ def own_claims(rows: pd.DataFrame, whose: str, acceptable_risk: float = REMOVAL_
         add(
             "Where registrations end does not depend on how wrong they start",
             (spread <= 1 + SAME_SCATTER).all(),
-            f"rms scatter over the tumour {_range(each['scatter_mm'])} mm, "
+            f"rms scatter over the tumour {range_text(each['scatter_mm'])} mm, "
             f"largest over smallest up to {spread.max():.2f}",
         )
     return claims

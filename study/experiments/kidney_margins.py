@@ -45,23 +45,30 @@ class Run:
 
     Attributes
     ----------
-    title : str
-    loose : bool
-        The fit stops as loosely as the text's seems to have, else when it no longer moves.
+    stop : {"loose", "converged"}
+        The fit stops as loosely as the text's seems to have, or when it no longer moves.
     method : {"exact", "published"}
         Of `study.margins.GrowthSettings`.
     """
 
-    title: str
-    loose: bool
+    stop: str
     method: str
 
+    @property
+    def title(self) -> str:
+        """What tables and pictures call it."""
+        growth = {"exact": "exact growth", "published": "printed growth"}[self.method]
+        return f"{STOPS[self.stop]}, {growth}"
+
+
+#: Ways to stop, as tables and pictures call them.
+STOPS = {"loose": "loose stop", "converged": "converged"}
 
 #: Runs by the names that the notebooks' parameter takes.
 RUNS = {
-    "published": Run("loose stop, printed growth", True, "published"),
-    "loose": Run("loose stop, exact growth", True, "exact"),
-    "converged": Run("converged, exact growth", False, "exact"),
+    "published": Run("loose", "published"),
+    "loose": Run("loose", "exact"),
+    "converged": Run("converged", "exact"),
 }
 
 
@@ -123,18 +130,20 @@ def _holds_labels(folder: Path) -> bool:
     return any(folder.glob("*.nrrd")) or any(folder.glob("*.nii*"))
 
 
-def registration_of(case: KidneyCase, position_std: float, tilt_std_deg: float, loose: bool):
-    """The registration of a kidney's swab to its surface, at one of the two stopping rules.
+def registration_of(
+    case: KidneyCase, position_std: float, tilt_std_deg: float, stop: str
+) -> SurfaceRegistration:
+    """The registration of a kidney's swab to its surface.
 
     Parameters
     ----------
     case : KidneyCase
     position_std, tilt_std_deg : float
         Of the start, mm and degrees.
-    loose : bool
-        As in `Run`.
+    stop : {"loose", "converged"}
+        As of `Run`.
     """
-    make = SurfaceRegistration.published if loose else SurfaceRegistration
+    make = SurfaceRegistration.published if stop == "loose" else SurfaceRegistration
     return make(case.surface, case.swab, position_std=position_std, tilt_std_deg=tilt_std_deg)
 
 
@@ -186,14 +195,14 @@ def _margins_of(
 ) -> list[tuple[dict, pd.DataFrame]]:
     """Rows and curves of one kidney and start."""
     rng = [seed, zlib.crc32(case.name.encode())]  # a kidney's own, whichever others are asked for
-    models: dict[bool, RememberedRegistrations] = {}
+    models: dict[str, RememberedRegistrations] = {}
     found = []
     for run, (variant, shape) in product(settings, VARIANTS.items()):
-        loose = RUNS[run].loose
-        if loose not in models:
-            registration = registration_of(case, position_std, tilt_std_deg, loose)
-            models[loose] = RememberedRegistrations(registration, max(settings[run].registrations // 5, 100))
-        model = models[loose]
+        stop = RUNS[run].stop
+        if stop not in models:
+            registration = registration_of(case, position_std, tilt_std_deg, stop)
+            models[stop] = RememberedRegistrations(registration, max(settings[run].registrations // 5, 100))
+        model = models[stop]
         before = model.seconds
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", PaddedVolumeWarning)  # the rows say so
@@ -201,10 +210,16 @@ def _margins_of(
                 case.anatomy, "tumour", model, shape=shape, settings=settings[run], rng=rng, purpose="remove"
             )
         growth = margin.time_s - (model.seconds - before)
-        row = {"run": run, "variant": variant, **margin_row(margin, case.anatomy), "growth_s": growth}
+        row = {
+            "run": run,
+            "stop": stop,
+            "variant": variant,
+            **margin_row(margin, case.anatomy),
+            "growth_s": growth,
+        }
         found.append((row, margin.curve()))
     for row, _ in found:
-        row |= _registration_row(models[RUNS[row["run"]].loose], case)
+        row |= _registration_row(models[row["stop"]], case)
         row["time_min"] = (row["registration_s"] + row["growth_s"]) / 60
     for (sv, of_sv), (ct, of_ct) in zip(found[::2], found[1::2], strict=True):
         compare = (
@@ -230,7 +245,8 @@ def run_kidney_margins(
     Parameters
     ----------
     kidneys : sequence of str
-        As of `select_kidneys`; numbered from 1 as tumours.
+        As of `select_kidneys`. Tumours have the number of their place in the catalogue, others in the
+        sequence.
     position_stds, rotation_stds : iterable of float
         Standard deviations of the start of a registration, mm and degrees.
     runs : sequence of str
@@ -247,14 +263,14 @@ def run_kidney_margins(
     Returns
     -------
     KidneyMargins
-        Rows: ``tumour`` (number), ``kidney, table`` (printed, or ""), ``pos_std_mm, rot_std_deg,
-        run, variant``; ``margin_volume_mm3, final_damage_probability, mahalanobis_mean, mahalanobis_std,
-        time_min`` as printed; ``validated_risk, validated_low, validated_high`` on fresh registrations;
+        Rows: ``tumour`` (number), ``kidney, table`` (printed, or ""), ``pos_std_mm, rot_std_deg``,
+        ``run, stop, variant``; as printed ``margin_volume_mm3, final_damage_probability, mahalanobis_mean,
+        mahalanobis_std, time_min``; ``validated_risk, validated_low, validated_high`` on fresh registrations;
         ``healthy_kidney_mm3`` in the margin; ``tumour_mm3``; ``beyond_image``: the margin needed room beyond
         it; ``sv_over_ct_at_equal_risk``, see `study.experiments.margin_table.equal_risk_ratio`;
-        ``converged_pct, iterations_mean`` of the fits;
-        ``scatter_mm, bias_mm`` of the registrations over the tumour's voxels; ``registration_s``, spent once
-        for both shapes, and ``growth_s``; ``time_min`` is their sum.
+        ``converged_pct, iterations_mean`` of the fits; ``scatter_mm, bias_mm`` of the registrations over the
+        tumour's voxels; ``registration_s``, spent once for all margins of a start and a way to stop, and
+        ``growth_s``; ``time_min`` is their sum.
 
     Raises
     ------
@@ -278,11 +294,12 @@ def run_kidney_margins(
         )
         for run in runs
     }
-    rows, curves = [], {}
+    rows, curves, catalogue = [], {}, list(kidney_catalogue())
     silent = bool(os.environ.get("STUDY_BATCH"))
     with tqdm(total=len(kidneys) * len(pairs), desc="margins", leave=False, disable=silent) as bar:
-        for number, name in enumerate(kidneys, start=1):
+        for place, name in enumerate(kidneys, start=1):
             case = load_kidney(name)
+            number = 1 + catalogue.index(name) if name in catalogue else place
             for position, rotation in pairs:
                 try:
                     found = _margins_of(case, position, rotation, of_run, seed)

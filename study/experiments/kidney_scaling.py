@@ -165,5 +165,5 @@ def exponents_table(
                 entry["exponent"] = exponent.mean if exponent else np.nan
                 entry["half_width_95"] = exponent.half_width if exponent else np.nan
                 entry |= {"monotone": monotone, "of": of, "tumours": len(law.levels) if law else 0}
-                found.append(entry | {"note": note})
+                found.append(entry | {"note": note or ("" if exponent else "one value only")})
     return pd.DataFrame(found)

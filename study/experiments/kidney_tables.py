@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 import pandas as pd
 
 from study.experiments.kidney_claims import QUANTITIES, printed_rows
-from study.experiments.kidney_margins import RUNS, VARIANTS
+from study.experiments.kidney_margins import RUNS, STOPS, VARIANTS
 from study.tables import heading, with_unit
 
 _HEADINGS = {
@@ -96,8 +96,11 @@ def _number(value: float) -> str:
 
 
 def beyond_print(rows: pd.DataFrame) -> pd.DataFrame:
-    """What the printed table does not tell: a row a tumour, run and shape, in words and units, as text."""
+    """What the printed table does not tell: a row a margin, in words and units, as text."""
     shown = rows[["tumour", "kidney"]].copy()
+    if len(rows[["pos_std_mm", "rot_std_deg"]].drop_duplicates()) > 1:
+        starts = rows[["pos_std_mm", "rot_std_deg"]].to_numpy()
+        shown["start"] = [f"{position:g} mm, {tilt:g}°" for position, tilt in starts]
     shown["run"] = rows["run"].map({name: run.title for name, run in RUNS.items()})
     shown["variant"] = rows["variant"]
     shown["risk on fresh registrations (95 % interval)"] = [
@@ -117,9 +120,9 @@ def beyond_print(rows: pd.DataFrame) -> pd.DataFrame:
 
 
 def starts_and_scatter(rows: pd.DataFrame) -> pd.DataFrame:
-    """Scatter and bias over the tumours, mean over the tumours, a row a start and a column a run, mm."""
-    each = rows[rows["variant"] == rows["variant"].iloc[0]]
-    table = each.pivot_table(["scatter_mm", "bias_mm"], ["pos_std_mm", "rot_std_deg"], "run", sort=False)
-    titles: Mapping[str, str] = {name: run.title for name, run in RUNS.items()}
-    table.columns = [f"{kidney_heading(what)}, {titles[run]}" for what, run in table.columns]
+    """Mean over the tumours of scatter and bias in mm, a row a start and a column a way to stop."""
+    starts = ["pos_std_mm", "rot_std_deg"]
+    each = rows.drop_duplicates(["tumour", *starts, "stop"])
+    table = each.pivot_table(["scatter_mm", "bias_mm"], starts, "stop", sort=False)
+    table.columns = [f"{kidney_heading(what)}, {STOPS[stop]}" for what, stop in table.columns]
     return table.rename_axis(index=[kidney_heading(name) for name in table.index.names])

@@ -7,7 +7,8 @@ from collections.abc import Mapping
 import numpy as np
 import pandas as pd
 
-from study.experiments.kidney_claims import VOLUME, WHICH, exponents_text, law_of
+from study.experiments.kidney_claims import VOLUME, WHICH, exponents_text, law_of, range_text
+from study.experiments.kidney_margins import STOPS
 from study.experiments.kidney_scaling import ERRORS, PowerLaw, exponents_table
 
 #: Share of the loose scatter below which words call the rest nothing, and above which they call it the same.
@@ -21,28 +22,26 @@ def laws(rows: pd.DataFrame, quantity: str = VOLUME) -> dict[str, PowerLaw]:
 
 
 def exponents_of(sources: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
-    """Exponents of volume, and of scatter where it is known, of each source.
+    """Exponents of volume of each source, and of the scatter at each way to stop.
 
     Parameters
     ----------
     sources : mapping of str to DataFrame
-        Print and runs, by what to call them. Of runs on the same registrations the first gives the scatter.
+        Print and runs, by what to call them.
 
     Returns
     -------
     DataFrame
-        ``whose``, then the columns of `study.experiments.kidney_scaling.exponents_table`; ``variant`` of the
-        scatter is "both".
+        ``whose`` (of the scatter the way to stop), then the columns of
+        `study.experiments.kidney_scaling.exponents_table`; ``variant`` of the scatter is "both".
     """
-    parts, known = [], []
-    for whose, rows in sources.items():
-        parts.append(exponents_table(rows.assign(whose=whose), by=("whose", "variant")))
-        if "scatter_mm" not in rows:
-            continue
-        each = rows.drop_duplicates(WHICH).assign(whose=whose, variant="both")
-        if not any(each["scatter_mm"].reset_index(drop=True).equals(other) for other in known):
-            known.append(each["scatter_mm"].reset_index(drop=True))
-            parts.append(exponents_table(each, ["scatter_mm"], ("whose", "variant")))
+    volumes = pd.concat([rows.assign(whose=whose) for whose, rows in sources.items()])
+    parts = [exponents_table(volumes, by=("whose", "variant"))]
+    ours = [rows for rows in sources.values() if "scatter_mm" in rows]
+    if ours:
+        each = pd.concat(ours).drop_duplicates(["stop", *WHICH])
+        each = each.assign(whose=each["stop"].map(STOPS), variant="both")
+        parts.append(exponents_table(each, ["scatter_mm"], ("whose", "variant")))
     return pd.concat(parts, ignore_index=True)
 
 
@@ -85,15 +84,15 @@ def _which_matters(found: Mapping[str, PowerLaw]) -> str:
 
 def stopping_in_words(rows: pd.DataFrame) -> str:
     """What letting the fits converge changes: scatter over the tumours, margins, dependence on the start."""
-    each = rows.drop_duplicates(["run", *WHICH])
-    scatter = {run: part.set_index(WHICH)["scatter_mm"] for run, part in each.groupby("run")}
-    loose = scatter.get("loose", scatter.get("published"))
-    if loose is None or "converged" not in scatter:
+    each = rows.drop_duplicates(["stop", *WHICH])
+    scatter = {stop: part.set_index(WHICH)["scatter_mm"] for stop, part in each.groupby("stop")}
+    if len(scatter) < 2:
         return "Only one stopping rule was run, so nothing can be said about what it changes."
-    ratio = (scatter["converged"] / loose).median()
+    ratio = (scatter["converged"] / scatter["loose"]).median()
     text = (
-        f"**Stopping**: stopped loosely, registrations scatter by {_range(loose)} mm (rms over the tumour); "
-        f"converged, by {_range(scatter['converged'])} mm, {_times(ratio)}. "
+        f"**Stopping**: stopped loosely, registrations scatter by {range_text(scatter['loose'], '.2g')} mm "
+        f"(rms over the tumour); converged, by {range_text(scatter['converged'], '.2g')} mm, "
+        f"{ratio:.2f} times as much (median over tumours and starts). "
     )
     margins = rows.set_index([*WHICH, "variant"])
     exact = {run: margins.loc[margins["run"] == run, VOLUME] for run in ("loose", "converged")}
@@ -105,30 +104,20 @@ def stopping_in_words(rows: pd.DataFrame) -> str:
         text += (
             f"By the same method, converged margins have {_percent(change)} of the loose volume (median). "
         )
-    parts = [part for _, part in each.groupby("run")]
-    if min(len(part[list(ERRORS)].drop_duplicates()) for part in parts) > 1:
-        text += _starts_in_words(each)
-    return text + _verdict(ratio)
+    return text + _starts_in_words(each) + _verdict(ratio)
 
 
 def _starts_in_words(each: pd.DataFrame) -> str:
-    found = {}
-    for run, name in (("loose", "loose"), ("published", "loose"), ("converged", "converged")):
-        law = law_of(each[each["run"] == run], "scatter_mm")
-        if law is not None and name not in found:
-            found[name] = law
-    if not found:
+    found = {stop: law_of(part, "scatter_mm") for stop, part in each.groupby("stop")}
+    if None in found.values():  # the errors do not vary
         return ""
     text = "The scatter goes with the errors of the start to the powers "
-    text += "; ".join(f"{exponents_text(law)} ({name})" for name, law in found.items()) + ". "
-    end = found.get("converged")
-    if end is None:
+    text += "; ".join(f"{exponents_text(found[stop])} ({title})" for stop, title in STOPS.items()) + ". "
+    end = found["converged"].exponents
+    if any(np.isnan(exponent.half_width) for exponent in end.values()):
         return text
-    remains = [
-        name
-        for error, name in zip(ERRORS, ("position", "rotation"), strict=True)
-        if error in end.exponents and end.exponents[error].low > 0
-    ]
+    names = zip(ERRORS, ("position", "rotation"), strict=True)
+    remains = [name for error, name in names if error in end and end[error].low > 0]
     if remains:
         return text + (
             f"So even converged fits still know how wrong they started ({' and '.join(remains)}): they come "
@@ -148,16 +137,8 @@ def _verdict(ratio: float) -> str:
     )
 
 
-def _range(values: pd.Series) -> str:
-    return f"{values.min():.2g} to {values.max():.2g}"
-
-
 def _percent(share: float) -> str:
     return "–" if np.isnan(share) else f"{100 * share:.0f} %"
-
-
-def _times(ratio: float) -> str:
-    return f"{ratio:.2f} times as much (median over tumours and starts)"
 
 
 def conclusion(rows: pd.DataFrame, printed: pd.DataFrame, titles: Mapping[str, str]) -> str:

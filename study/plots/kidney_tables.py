@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import pandas as pd
@@ -16,6 +16,7 @@ from study.plots.style import legend_below, new_axes, styled
 COLOURS = {"SV": "#0072b2", "CT": "#d55e00"}
 SHAPES = {"SV": "spatially varying", "CT": "constant thickness"}
 RUN_MARKERS = {"published": "s", "loose": "o", "converged": "^"}
+_STOP_LOOKS = {"loose": ("o", "-"), "converged": ("^", ":")}
 TUMOURS = ("#332288", "#117733", "#aa4499", "#997700", "#44aa99", "#882255")
 ERROR_NAMES = {
     "pos_std_mm": "position error of the start, SD (mm)",
@@ -42,34 +43,41 @@ def kidney_volumes(beside: pd.DataFrame, titles: Mapping[str, str]) -> Figure:
     titles : mapping of str to str
         Columns of it to draw (``printed`` and runs) and what to call them.
     """
-    rows = beside[beside["quantity"] == "margin_volume_mm3"]
-    tumours = list(rows["tumour"].drop_duplicates())
-    values = rows[list(titles)].to_numpy(dtype=float)
+    volumes = beside[beside["quantity"] == "margin_volume_mm3"]
+    values = volumes[list(titles)].to_numpy(dtype=float)
     edge = 0.5 * values[values > 0].min()
-    figure, axes = new_axes(1, 1, (8.2, 0.8 + 0.22 * len(tumours) * (len(titles) + 1)))
-    ax, ticks = axes[0, 0], {}
-    for number, tumour in enumerate(tumours):
-        for k, (source, title) in enumerate(titles.items()):
-            at = number * (len(titles) + 1) + k
-            ticks[at] = f"tumour {tumour}, {title}" if k == 0 else title
-            part = rows[rows["tumour"] == tumour].set_index("variant")[source].dropna()
-            shown = part.where(part > 0, edge)
-            if len(shown) > 1:
-                ax.plot(shown, [at] * len(shown), color="0.75", lw=1.2, zorder=1)
-            for variant, value in shown.items():
-                face = "white" if source == "printed" else COLOURS[variant]
-                marker = "<" if part[variant] == 0 else "o"
-                ax.plot(value, at, marker, ms=6, color=COLOURS[variant], mfc=face)
-    ax.set(xscale="log", xlabel="volume of the margin (mm³); empty at the left edge")
+    lines = [
+        (f"tumour {tumour}", source, part[source].dropna())
+        for tumour, part in volumes.set_index("variant").groupby("tumour")
+        for source in titles
+        if part[source].notna().any()
+    ]
+    figure, axes = new_axes(1, 1, (8.2, 1.3 + 0.24 * (len(lines) + len({line[0] for line in lines}))))
+    ax, ticks, at, before = axes[0, 0], {}, 0, ""
+    for tumour, source, part in lines:
+        at += 1 if tumour == before else 2
+        ticks[at] = titles[source] if tumour == before else f"{tumour}, {titles[source]}"
+        before = tumour
+        shown = part.where(part > 0, edge)
+        if len(shown) > 1:
+            ax.plot(shown, [at] * len(shown), color="0.75", lw=1.2, zorder=1)
+        for variant, value in shown.items():
+            face = "white" if source == "printed" else COLOURS[variant]
+            ax.plot(value, at, "<" if part[variant] == 0 else "o", ms=6, color=COLOURS[variant], mfc=face)
+    ax.set(xscale="log", xlabel="volume of the margin (mm³)", ylim=(at + 1, 1))
+    marks = [k * 10**p for p in range(1, 7) for k in (1, 2, 5)]
+    shown = [mark for mark in marks if 0.8 * edge < mark < 1.2 * values[values > 0].max()]
+    ax.set_xticks(shown, [f"{mark:,}".replace(",", " ") for mark in shown])
+    ax.xaxis.set_minor_locator(NullLocator())
     ax.set_yticks(list(ticks), list(ticks.values()))
-    ax.invert_yaxis()
     _plain(ax)
     handles = [
         Line2D([], [], color=COLOURS[v], marker="o", ls="", mfc=face, label=f"{name}, {source}")
         for v, name in SHAPES.items()
         for source, face in (("printed", "white"), ("ours", COLOURS[v]))
     ]
-    handles.append(Line2D([], [], color="0.4", marker="<", ls="", label="empty"))
+    if (values == 0).any():
+        handles.append(Line2D([], [], color="0.4", marker="<", ls="", label="empty, at the edge"))
     legend_below(figure, handles, 3)
     return figure
 
@@ -147,15 +155,15 @@ def against_errors(
         Of `study.experiments.kidney_scaling`; drawn at the middle of the other error.
     quantity, ylabel : str
     """
-    figure, axes = new_axes(len(sources), 2, (9.4, 3.1 * len(sources) + 0.5), sharey="row", sharex="col")
+    figure, axes = new_axes(len(sources), 2, (9.4, 2.9 * len(sources) + 0.5), sharey=True, sharex="col")
     names = tuple(ERROR_NAMES)
+    ticks = {error: sorted(set().union(*(rows[error] for rows in sources.values()))) for error in names}
     for row, (title, rows) in zip(axes, sources.items(), strict=True):
-        tumours = list(rows["tumour"].drop_duplicates())
         for k, (ax, error) in enumerate(zip(row, names, strict=True)):
             other = names[1 - k]
             middle = np.exp(np.log(rows[other]).mean())
             for (tumour, variant), part in rows[rows[quantity] > 0].groupby(["tumour", "variant"]):
-                colour = TUMOURS[tumours.index(tumour) % len(TUMOURS)]
+                colour = _of_tumour(tumour)
                 shift = 1 + 0.03 * (np.log(part[other] / middle) / np.log(2))
                 face = colour if variant == "SV" else "white"
                 ax.plot(part[error] * shift, part[quantity], "o", ms=4, color=colour, mfc=face, mew=0.9)
@@ -167,23 +175,19 @@ def against_errors(
                         if name in law.exponents:
                             value = value * at ** law.exponents[name].mean
                     ax.plot(ends, value, color=colour, lw=1.1, ls="-" if variant == "SV" else "--")
-            values = sorted(set(rows[error]))
             ax.set(xscale="log", yscale="log", title=f"{title}: against {'position' if k == 0 else 'tilt'}")
             ax.xaxis.set_minor_locator(NullLocator())
-            ax.set_xticks(values, [f"{v:g}" for v in values])
+            ax.set_xticks(ticks[error], [f"{v:g}" for v in ticks[error]])
             _plain(ax)
         row[0].set_ylabel(ylabel)
     for ax, error in zip(axes[-1], names, strict=True):
         ax.set_xlabel(ERROR_NAMES[error])
-    most = max((rows["tumour"].nunique() for rows in sources.values()), default=1)
+    tumours = sorted(set().union(*(rows["tumour"] for rows in sources.values())))
     handles = [
         Line2D([], [], color="0.3", marker="o", mfc=face, ls=line, ms=4, label=SHAPES[v])
         for v, face, line in (("SV", "0.3", "-"), ("CT", "white", "--"))
     ]
-    handles += [
-        Line2D([], [], color=TUMOURS[k], lw=2.5, label=f"tumour {k + 1}")
-        for k in range(min(most, len(TUMOURS)))
-    ]
+    handles += _tumour_handles(tumours)
     legend_below(figure, handles, 6)
     return figure
 
@@ -232,35 +236,35 @@ def scatter_against_start(rows: pd.DataFrame, titles: Mapping[str, str]) -> Figu
     rows : DataFrame
         Of `study.experiments.kidney_margins.run_kidney_margins`.
     titles : mapping of str to str
-        Runs to draw, one for each way to stop, and what to call them.
+        Ways to stop, and what to call them.
     """
-    figure, axes = new_axes(1, 2, (9.0, 3.6), sharey=True, sharex=True)
-    tumours = list(rows["tumour"].drop_duplicates())
+    figure, axes = new_axes(1, 2, (9.0, 3.6), sharex=True)
+    each = rows.drop_duplicates(["stop", "tumour", "pos_std_mm", "rot_std_deg"])
+    ticks = sorted(set(rows["pos_std_mm"]))
     for ax, what in zip(axes[0], ("scatter_mm", "bias_mm"), strict=True):
-        for run in titles:
-            part = rows[(rows["run"] == run) & (rows["variant"] == rows["variant"].iloc[0])]
-            for tumour, of_tumour in part.groupby("tumour"):
-                colour = TUMOURS[tumours.index(tumour) % len(TUMOURS)]
-                means = of_tumour.groupby("pos_std_mm")[what].mean()
-                marker = RUN_MARKERS[run]
-                line = "-" if run == "loose" else ":"
-                ax.plot(means.index, means, color=colour, marker=marker, ms=4, lw=1.2, ls=line)
-        values = sorted(set(rows["pos_std_mm"]))
-        ax.set(xscale="log", yscale="log", title=f"rms {what.removesuffix('_mm')} over the tumour")
+        for (stop, tumour), part in each.groupby(["stop", "tumour"]):
+            means = part.groupby("pos_std_mm")[what].mean()
+            marker, line = _STOP_LOOKS[stop]
+            ax.plot(means.index, means, color=_of_tumour(tumour), marker=marker, ms=4, lw=1.2, ls=line)
+        ax.set(xscale="log", title=f"rms {what.removesuffix('_mm')} over the tumour (mm)")
+        ax.set_ylim(bottom=0)
         ax.xaxis.set_minor_locator(NullLocator())
-        ax.set_xticks(values, [f"{v:g}" for v in values])
+        ax.set_xticks(ticks, [f"{v:g}" for v in ticks])
         ax.set_xlabel(ERROR_NAMES["pos_std_mm"])
         _plain(ax)
-    axes[0, 0].set_ylabel("mm, mean over the tilts")
+    axes[0, 0].set_ylabel("mean over the tilts (mm)")
     handles = [
-        Line2D(
-            [], [], color="0.3", marker=RUN_MARKERS[run], ms=4, ls="-" if run == "loose" else ":", label=title
-        )
-        for run, title in titles.items()
+        Line2D([], [], color="0.3", marker=_STOP_LOOKS[stop][0], ms=4, ls=_STOP_LOOKS[stop][1], label=title)
+        for stop, title in titles.items()
     ]
-    handles += [
-        Line2D([], [], color=TUMOURS[k % len(TUMOURS)], lw=2.5, label=f"tumour {t}")
-        for k, t in enumerate(tumours)
-    ]
+    handles += _tumour_handles(sorted(set(rows["tumour"])))
     legend_below(figure, handles, 6)
     return figure
+
+
+def _of_tumour(number: int) -> str:
+    return TUMOURS[(number - 1) % len(TUMOURS)]
+
+
+def _tumour_handles(tumours: Sequence[int]) -> list[Line2D]:
+    return [Line2D([], [], color=_of_tumour(t), lw=2.5, label=f"tumour {t}") for t in tumours]
