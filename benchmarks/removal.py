@@ -1,9 +1,10 @@
-"""How long margins to be removed take once registrations are drawn: both shapes, exact beside the printed loop.
+"""How long margins to be removed take once registrations are drawn, exact beside the printed loop.
+loop.
 
 Run with ``python benchmarks/removal.py [case folders] [--registrations 5000]``. Without folders the real
-kidneys are used when they are there, else the procedural ones. Registrations (as many each to rank on, to stop
-on and to validate on) are drawn before the clock starts; `benchmarks/surface_registration.py` says how long
-that takes.
+kidneys are used when they are there, else the procedural ones. Registrations (as many each to rank on, to
+stop on and to validate on) are drawn before the clock starts; `benchmarks/surface_registration.py` says how
+long that takes.
 """
 
 from __future__ import annotations
