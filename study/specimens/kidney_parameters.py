@@ -17,12 +17,12 @@ RANGES: dict[str, tuple[float, float]] = {
     "length": (106.0, 120.0),
     "width": (58.0, 66.0),
     "thickness": (43.0, 50.0),
-    "bend": (13.0, 20.0),
+    "bend": (15.0, 22.0),
     "upper_pole": (-0.06, 0.14),
-    "sinus_length": (34.0, 44.0),
-    "sinus_depth": (22.0, 28.0),
-    "sinus_width": (12.0, 16.0),
-    "lobe_height": (0.8, 1.3),
+    "sinus_length": (29.0, 37.0),
+    "sinus_depth": (18.0, 23.0),
+    "sinus_width": (10.0, 13.0),
+    "lobe_height": (1.2, 1.7),
     "medial_tilt_deg": (6.0, 20.0),
     "posterior_tilt_deg": (15.0, 32.0),
     "hilum_turn_deg": (22.0, 36.0),
@@ -81,12 +81,12 @@ class KidneyParameters:
     length: float = 113.0
     width: float = 62.0
     thickness: float = 46.5
-    bend: float = 16.5
+    bend: float = 18.5
     upper_pole: float = 0.06
-    sinus_length: float = 39.0
-    sinus_depth: float = 25.0
-    sinus_width: float = 14.0
-    lobe_height: float = 1.05
+    sinus_length: float = 33.0
+    sinus_depth: float = 20.5
+    sinus_width: float = 11.5
+    lobe_height: float = 1.45
     medial_tilt_deg: float = 13.0
     posterior_tilt_deg: float = 23.5
     hilum_turn_deg: float = 29.0
