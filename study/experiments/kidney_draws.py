@@ -15,9 +15,6 @@ from study.registration import (
     sampled_moments,
 )
 
-#: Of the registrations that only the covariance is from.
-_MOMENT_SEED = 4_2
-
 
 class RememberedRegistrations:
     """A surface registration whose draws are kept: the same draw from the same generator is made once.
@@ -29,8 +26,6 @@ class RememberedRegistrations:
     Parameters
     ----------
     model : SurfaceRegistration
-    moment_registrations : int
-        Registrations, none of them used elsewhere, that the covariance of the error is estimated from.
 
     Attributes
     ----------
@@ -38,9 +33,8 @@ class RememberedRegistrations:
         Spent in the model.
     """
 
-    def __init__(self, model: SurfaceRegistration, moment_registrations: int = 1000) -> None:
+    def __init__(self, model: SurfaceRegistration) -> None:
         self.model = model
-        self.moment_registrations = moment_registrations
         self.seconds = 0.0
         self._fits: dict[tuple, tuple[SurfaceFits, dict, int]] = {}
         self._moments: DisplacementMoments | None = None
@@ -62,16 +56,23 @@ class RememberedRegistrations:
         return np.linalg.inv(fits.transforms)
 
     def moments(self) -> DisplacementMoments:
-        """Covariance of the displacement about its mean."""
+        """Covariance of the displacement about its mean, from the first registrations drawn.
+
+        Where none is drawn yet, from the model's own. Margins to remove are grown without it: it serves to
+        report distances.
+        """
         if self._moments is None:
             begun = time.perf_counter()
-            self._moments = sampled_moments(self.model.sample(self.moment_registrations, _MOMENT_SEED))
+            if self._fits:
+                self._moments = sampled_moments(np.linalg.inv(self.fits[0].transforms))
+            else:
+                self._moments = self.model.moments()
             self.seconds += time.perf_counter() - begun
         return self._moments
 
     @property
     def fits(self) -> list[SurfaceFits]:
-        """All registrations drawn so far; not those that only the moments are from."""
+        """All registrations drawn so far, in the order of the draws."""
         return [fits for fits, _, _ in self._fits.values()]
 
 

@@ -201,7 +201,7 @@ def _margins_of(
         stop = RUNS[run].stop
         if stop not in models:
             registration = registration_of(case, position_std, tilt_std_deg, stop)
-            models[stop] = RememberedRegistrations(registration, max(settings[run].registrations // 5, 100))
+            models[stop] = RememberedRegistrations(registration)
         model = models[stop]
         before = model.seconds
         with warnings.catch_warnings():
@@ -252,8 +252,8 @@ def run_kidney_margins(
     runs : sequence of str
         Of `RUNS`.
     registrations, validation_registrations : int
-        N_r (4.3.1), and fresh ones for the validated risk. The error's covariance is estimated from others,
-        a fifth of N_r.
+        N_r (4.3.1), and fresh ones for the validated risk. Exact growth ranks voxels on others, half as many
+        as N_r; N_p of the printed growth is N_r, as printed.
     confidence : float or None
         See `study.margins.GrowthSettings`.
     seed : int
@@ -284,11 +284,12 @@ def run_kidney_margins(
             f"kidneys, runs, standard deviations: expected at least one of each and runs of {list(RUNS)}, "
             f"got {list(kidneys)}, {unknown or list(runs)}, {pairs}"
         )
+    ranking = max(registrations // 2, 1)
     of_run = {
         run: GrowthSettings.for_removal(
             RUNS[run].method,
             registrations=registrations,
-            violation_registrations=registrations,
+            violation_registrations=registrations if RUNS[run].method == "published" else ranking,
             validation_registrations=validation_registrations,
             confidence=confidence,
         )
