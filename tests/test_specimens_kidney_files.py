@@ -226,6 +226,7 @@ def test_a_prepared_case_is_what_its_files_say(prepared, coarse):
     assert np.allclose(case.swab, np.loadtxt(prepared / "swab.csv", delimiter=",", skiprows=1))
     assert list(case.summary().index)[:3] == ["side", "kidney_cm3", "tumour_cm3"]
     assert load_kidney(str(prepared)).name == "case_7"
+    assert load_kidney(prepared / "labels_1mm.nrrd").name == "case_7"
 
 
 def test_surface_and_swab_are_made_where_there_are_none(prepared, tmp_path):
@@ -335,6 +336,7 @@ def test_label_files_that_are_not(tmp_path):
     labels[2, 2, 2] = 2
     write_volume(LabelVolume(labels, np.eye(4)), tmp_path / "k.nrrd")
     assert load_kidney(tmp_path / "k.nrrd").anatomy.volume_mm3("tumour") == 1
+    assert load_kidney(tmp_path / "k.nrrd").name == "k"
     assert read_kidney_case(tmp_path).side == ""
     assert read_kidney_case(tmp_path, labels="k.nrrd").anatomy.volume_mm3("tumour") == 1
     (tmp_path / "case.json").write_text('{"side": "upper"}')

@@ -27,6 +27,7 @@ from study.volumes import surface as surface_of
 #: 12 000 vertices).
 SURFACE_SMOOTHING, SURFACE_PITCH = 1.0, 1.75
 _PREPARED = "labels_1mm.nrrd"
+_LABEL_FILES = (_PREPARED, "segmentation.nii.gz")
 _SURFACE, _SWAB = "kidney_with_tumour.stl", "swab.csv"
 
 
@@ -161,11 +162,14 @@ def read_kidney_case(
     """
     path = Path(path)
     folder = path.parent if path.is_file() else path
-    path = path if path.is_file() else label_file(folder, labels, (_PREPARED, "segmentation.nii.gz"))
+    # Files of the sets are all called the same; their folders tell them apart.
+    own_name = path.is_file() and path.name not in _LABEL_FILES
+    name = path.name.split(".")[0] if own_name else folder.resolve().name
+    path = path if path.is_file() else label_file(folder, labels, _LABEL_FILES)
     anatomy = read_volume(path, names=KIDNEY_NAMES)
-    for name in ("kidney", "tumour"):
-        if not anatomy.mask(name).any():
-            raise LabelError(f"{path}: expected voxels labelled {anatomy.names[name]} ({name}), got none")
+    for label in ("kidney", "tumour"):
+        if not anatomy.mask(label).any():
+            raise LabelError(f"{path}: expected voxels labelled {anatomy.names[label]} ({label}), got none")
     side = ""
     if path.name != _PREPARED:
         anatomy, side = affected_kidney(anatomy, str(path))
@@ -183,7 +187,7 @@ def read_kidney_case(
             surface.invert()
     if (folder / _SWAB).is_file():
         swab = checked_swab(_points(folder / _SWAB), str(folder / _SWAB), anatomy, aligned)
-    return KidneyCase(str(case.get("case", folder.name)), side, anatomy, surface, swab)
+    return KidneyCase(str(case.get("case", name)), side, anatomy, surface, swab)
 
 
 def _points(path: Path) -> np.ndarray:
