@@ -259,15 +259,15 @@ def searched(points, ends, boxes, mask, masked, queries, guesses, indices, dista
 
 
 @numba.njit
-def walked(points, around, planes, mask, masked, queries, guesses, rivals, slacks, bests, free):
+def walked(points, around, planes, mask, masked, queries, guesses, three, slacks, bests, free):
     for i in range(len(queries)):
         x, y, z = queries[i]
-        free[i] = _kernels.walk(
-            points, around, planes, mask, masked, 1e-10, x, y, z, guesses[i], rivals, i, slacks
+        first, one, other, slacks[i, 0], free[i] = _kernels.walk(
+            points, around, planes, mask, masked, 1e-10, x, y, z, guesses[i]
         )
-        best, slack = _kernels.best_rival(points, rivals, i, x, y, z)
-        bests[i, 0] = best
-        bests[i, 1] = slack
+        three[i] = first, one, other
+        best, slacks[i, 1] = _kernels.best_of(points, first, one, other, x, y, z)
+        bests[i] = best
 
 
 KINDS = ["scattered", "surface", "lattice", "doubled", "one plane", "one place"]
@@ -329,21 +329,20 @@ def test_walk_knows_how_far_a_point_has_to_another_vertex(kind, count):
     sure = 0
     for masked in (False, True):
         seen = np.flatnonzero(mask) if masked else np.arange(len(points))
-        rivals, slacks = np.empty((60, _kernels.RIVALS + 1), int), np.empty(_kernels.RIVALS + 1)
-        bests, free = np.empty((60, 2)), np.empty(60)
+        three, slacks = np.empty((60, 3), int), np.empty((60, 2))
+        bests, free = np.empty(60, int), np.empty(60)
         guesses = rng.choice(seen, 60)
-        walked(points, around, planes, mask, masked, queries, guesses, rivals, slacks, bests, free)
-        assert np.isin(rivals, seen).all()
-        for query, near, (best, slack), moves in zip(queries, rivals, bests, free, strict=True):
-            if moves < 0:
-                continue  # says that it does not know
+        walked(points, around, planes, mask, masked, queries, guesses, three, slacks, bests, free)
+        assert np.isin(three, seen).all()
+        for k in np.flatnonzero(free >= 0):  # negative: says that it does not know
             sure += 1
-            match, best = near[0], int(best)
-            assert to_planes(points, seen, best, query).min() > -1e-9, "another vertex is nearer"
-            others = ~np.isin(seen, near)
-            assert moves <= to_planes(points, seen, match, query)[others].min(initial=np.inf) + 1e-9
-            among = to_planes(points, seen, best, query)[~others]
-            np.testing.assert_allclose(slack, among.min(), atol=1e-9)
+            match, best = three[k, 0], bests[k]
+            others = ~np.isin(seen, three[k])
+            from_match, from_best = (to_planes(points, seen, at, queries[k]) for at in (match, best))
+            assert from_best.min() > -1e-9, "another vertex is nearer"
+            assert free[k] <= from_match[others].min(initial=np.inf) + 1e-9
+            np.testing.assert_allclose(slacks[k, 0], from_match[~others].min(), atol=1e-9)
+            np.testing.assert_allclose(slacks[k, 1], from_best[~others].min(), atol=1e-9)
     assert sure > 20 or kind != "surface"
 
 

@@ -5,8 +5,9 @@ Three things make it quick and change no result.
 - A search begins with the vertex that was nearest the last time, and its neighbours: mostly they suffice.
   Where they do not, they bound the search through the tree.
 - A match is kept without a search for as long as the point cannot have crossed a plane half way to
-  another vertex. How far a point at distance r from the swab's centroid can have moved is at most
-  T + C r, where T adds up the centroid's steps and C the chords 2 sin(angle / 2) of the rotations.
+  another vertex, and is looked for among three vertices until it can have crossed yet another plane.
+  How far a point at distance r from the swab's centroid can have moved is at most T + C r, where T adds
+  up the centroid's steps and C the chords 2 sin(angle / 2) of the rotations.
 - The sums that the best rotation needs are updated for the matches that changed.
 """
 
@@ -18,14 +19,7 @@ import numpy as np
 
 from study._compiled import inner, threaded
 from study.registration._kernels import rotation_of_sums
-from study.registration.icp.nearest._kernels import (
-    DEPTH,
-    RIVALS,
-    best_rival,
-    nearest_two,
-    same_place,
-    walk,
-)
+from study.registration.icp.nearest._kernels import DEPTH, best_of, nearest_two, same_place, walk
 
 REFRESH = 32  # iterations after which the sums are made afresh, so that round-off does not pile up
 FLAT = 1e-9  # eigenvalue gap over the swab's sum of squares: below, the matches fix no rotation
@@ -124,40 +118,53 @@ def _small_step(s, total, count, inverse, turn, centre, new, new_centre):
 
 
 @inner
-def _match(tree, kept, masked, swab, radii, turn, centre, path, close, matches, rivals, expiry, work):
+def _match(tree, kept, masked, swab, radii, turn, centre, path, close, matches, rivals, state, work):
     """Search for the points whose match may have changed; keep the sums; return how many did change.
 
-    `path` holds T and C of the module's text. While T + C r is below the first value of a point's `expiry`
-    its match holds; while it is below the second the match is among its `rivals`.
+    `path` holds T and C of the module's text. While T + C r is below the first value of a point's `state`
+    its match holds. The others say where it was when it was last searched for, and how far from there the
+    match is the one found then or one of the two `rivals`.
     """
     points, ends, boxes, around, planes = tree
-    s, total, slacks, stack, bounds = work
+    s, total, stack, bounds = work
     changed = 0
     for i in range(matches.shape[0]):
         moved = path[0] + path[1] * radii[i]
-        if moved < expiry[i, 0]:
+        if moved < state[i, 0]:
             continue
         a, b, c = swab[i, 0], swab[i, 1], swab[i, 2]
         x = turn[0, 0] * a + turn[0, 1] * b + turn[0, 2] * c + centre[0]
         y = turn[1, 0] * a + turn[1, 1] * b + turn[1, 2] * c + centre[1]
         z = turn[2, 0] * a + turn[2, 1] * b + turn[2, 2] * c + centre[2]
         before = matches[i]
-        if moved >= expiry[i, 1]:
-            slack = -1.0
-            known = before
+        first = before
+        slack = -1.0
+        free = -1.0
+        if before >= 0:
+            u, v, w = x - state[i, 1], y - state[i, 2], z - state[i, 3]
+            free = state[i, 4] - sqrt(u * u + v * v + w * w)
+        if free <= 0.0:
             if before >= 0:
-                slack = walk(points, around, planes, kept, masked, close, x, y, z, before, rivals, i, slacks)
-                known = rivals[i, 0]
-            if slack < 0.0:
-                first, near, next_ = nearest_two(
-                    points, ends, boxes, kept, masked, stack, bounds, x, y, z, known
+                first, one, other, slack, free = walk(
+                    points, around, planes, kept, masked, close, x, y, z, before
                 )
-                slack = 0.5 * (sqrt(next_) - sqrt(near))
-                for k in range(RIVALS + 1):
-                    rivals[i, k] = first
-            expiry[i, 1] = moved + slack * (1.0 - NEAR_TIE) - close
-        first, slack = best_rival(points, rivals, i, x, y, z)
-        expiry[i, 0] = min(moved + slack * (1.0 - NEAR_TIE) - close, expiry[i, 1])
+                rivals[i, 0] = first
+                rivals[i, 1] = one
+                rivals[i, 2] = other
+            if free < 0.0:
+                first, near, next_ = nearest_two(
+                    points, ends, boxes, kept, masked, stack, bounds, x, y, z, first
+                )
+                slack = free = 0.5 * (sqrt(next_) - sqrt(near))
+                rivals[i, 0] = rivals[i, 1] = rivals[i, 2] = first
+            free = free * (1.0 - NEAR_TIE) - close
+            state[i, 1] = x
+            state[i, 2] = y
+            state[i, 3] = z
+            state[i, 4] = free
+        if slack <= close:  # not known, or a tie
+            first, slack = best_of(points, rivals[i, 0], rivals[i, 1], rivals[i, 2], x, y, z)
+        state[i, 0] = moved + min(slack * (1.0 - NEAR_TIE) - close, free)
         if before < 0 or (first != before and not same_place(points, first, before)):
             changed += 1
             matches[i] = first
@@ -173,7 +180,7 @@ def _match(tree, kept, masked, swab, radii, turn, centre, path, close, matches, 
 
 
 @inner
-def _fit(tree, kept, masked, swab, radii, pose, limits, matches, rivals, expiry, out):
+def _fit(tree, kept, masked, swab, radii, pose, limits, matches, rivals, state, out):
     """Run one start until it stops; see `fit_many`. Return converged, iterations and RMS distance."""
     max_iterations, translation_tolerance, rotation_tolerance, scale, closed = limits
     points = tree[0]
@@ -189,12 +196,11 @@ def _fit(tree, kept, masked, swab, radii, pose, limits, matches, rivals, expiry,
     v = np.empty((4, 4))
     q = np.empty(4)
     path = np.zeros(2)
-    work = (s, total, np.empty(RIVALS + 1), np.empty(DEPTH, np.int64), np.empty(DEPTH))
+    work = (s, total, np.empty(DEPTH, np.int64), np.empty(DEPTH))
     flat = 0.0
     for i in range(count):
         matches[i] = -1
-        expiry[i, 0] = -np.inf
-        expiry[i, 1] = -np.inf
+        state[i, 0] = -np.inf
         flat += FLAT * radii[i] * radii[i]
     reach = scale
     for r in range(3):
@@ -210,7 +216,7 @@ def _fit(tree, kept, masked, swab, radii, pose, limits, matches, rivals, expiry,
     small = False
     while True:
         changed = _match(
-            tree, kept, masked, swab, radii, turn, centre, path, close, matches, rivals, expiry, work
+            tree, kept, masked, swab, radii, turn, centre, path, close, matches, rivals, state, work
         )
         if iterations > 0 and (small or (closed and changed == 0)):
             converged = True
@@ -289,8 +295,8 @@ def fit_many(tree, kept, masked, swabs, radii, poses, limits, out, converged, it
     """
     count = swabs.shape[1]
     matches = np.empty(count, np.int64)
-    rivals = np.empty((count, RIVALS + 1), np.int64)
-    expiry = np.empty((count, 2))
+    rivals = np.empty((count, 3), np.int64)
+    state = np.empty((count, 5))
     for n in range(poses.shape[0]):
         own = n if swabs.shape[0] > 1 else 0
         mask = n if masked else 0
@@ -304,6 +310,6 @@ def fit_many(tree, kept, masked, swabs, radii, poses, limits, out, converged, it
             limits,
             matches,
             rivals,
-            expiry,
+            state,
             out[n],
         )

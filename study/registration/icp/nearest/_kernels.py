@@ -12,7 +12,6 @@ import numpy as np
 
 from study._compiled import inlined, inner
 
-RIVALS = 2  # vertices that a point's match is looked for among before it is searched for
 DEPTH = 64  # of a search's stack; a tree of that many levels holds more vertices than there are
 
 
@@ -111,7 +110,7 @@ def nearest_two(points, ends, boxes, kept, masked, stack, bounds, x, y, z, first
 
 
 @inlined
-def walk(points, around, planes, kept, masked, close, x, y, z, first, rivals, i, slacks):
+def walk(points, around, planes, kept, masked, close, x, y, z, first):
     """Go from vertex to nearer vertex until none is nearer, and say how far the point has from there.
 
     A match changes where the point crosses the plane half way to another vertex. A vertex that lies g
@@ -130,78 +129,81 @@ def walk(points, around, planes, kept, masked, close, x, y, z, first, rivals, i,
         mm.
     first : int
         Where to begin.
-    rivals : (RIVALS + 1,) int array
-        Receives the match and those whose planes are nearest; the match again where there are too few.
-    slacks : (RIVALS + 1,) float array
-        Receives the distances to the planes of the latter and of the one after them, mm.
 
     Returns
     -------
-    float
-        How far the point may move before a vertex that is not among `rivals` can be the nearest, mm;
-        negative where the lists are too short to be sure of anything.
+    int, int, int, float, float
+        The match and two rivals, those with the nearest planes (the match again where there are none); the
+        distance to the first rival's plane; and how far the point may move before a vertex that is none of
+        the three can be the nearest, mm: negative where the lists are too short to be sure of anything.
     """
     going = True
-    limit = 0.0
+    one = first
+    other = first
+    to_one = np.inf
+    free = -1.0
     while going:
         going = False
-        own = sqrt(_distance(points, first, x, y, z)) + close
-        for k in range(RIVALS + 1):
-            rivals[i, k] = first
-            slacks[k] = np.inf
+        one = first
+        other = first
+        to_one = np.inf
+        to_other = np.inf
+        to_third = np.inf
         limit = -1.0
+        own = sqrt(_distance(points, first, x, y, z)) + close
         for k in range(around.shape[1]):
             limit = planes[first, k, 0] - own
-            if limit >= slacks[RIVALS]:
+            if limit >= to_third:
                 break
             if masked and not kept[around[first, k]]:
                 continue
             slack = planes[first, k, 4] - (
                 planes[first, k, 1] * x + planes[first, k, 2] * y + planes[first, k, 3] * z
             )
+            if slack >= to_third:
+                continue
             if slack < -close:
                 first = around[first, k]
                 going = True
                 break
-            if slack < slacks[RIVALS]:
-                at = RIVALS
-                while at > 0 and slacks[at - 1] > slack:
-                    slacks[at] = slacks[at - 1]
-                    if at < RIVALS:
-                        rivals[i, at + 1] = rivals[i, at]
-                    at -= 1
-                slacks[at] = slack
-                if at < RIVALS:
-                    rivals[i, at + 1] = around[first, k]
-    return min(limit, slacks[RIVALS])
+            if slack >= to_other:
+                to_third = slack
+                continue
+            to_third = to_other
+            if slack >= to_one:
+                to_other = slack
+                other = around[first, k]
+            else:
+                to_other = to_one
+                other = one
+                to_one = slack
+                one = around[first, k]
+        free = min(limit, to_third)
+    return first, one, other, to_one, free
 
 
 @inner
-def _to_plane(points, i, a, b, c, x, y, z, gap):
-    """Distance from a point to the plane half way between vertex `i` and one at (a, b, c), `gap` away."""
+def _to_plane(points, i, j, x, y, z):
+    """Distance from a point to the plane half way between two vertices, times that between these."""
     u, v, w = points[i, 0], points[i, 1], points[i, 2]
-    return 0.5 * ((a - u) * (a + u - 2 * x) + (b - v) * (b + v - 2 * y) + (c - w) * (c + w - 2 * z)) / gap
+    a, b, c = points[j, 0], points[j, 1], points[j, 2]
+    return 0.5 * ((a - u) * (a + u - 2 * x) + (b - v) * (b + v - 2 * y) + (c - w) * (c + w - 2 * z))
 
 
 @inlined
-def best_rival(points, rivals, i, x, y, z):
-    """Nearest of a few vertices, and how far the point may move before another one of them is."""
-    best = rivals[i, 0]
+def best_of(points, first, one, other, x, y, z):
+    """Nearest of three vertices, and how far the point may move before another one of them is."""
+    best = first
     near = _distance(points, best, x, y, z)
-    for k in range(1, RIVALS + 1):
-        j = rivals[i, k]
+    for j in (one, other):
         d = _distance(points, j, x, y, z)
         if d < near or (d == near and j < best):
             best = j
             near = d
     slack = np.inf
-    for k in range(RIVALS + 1):
-        j = rivals[i, k]
-        if j == best:
-            continue
-        gap = sqrt(_distance(points, j, points[best, 0], points[best, 1], points[best, 2]))
-        if gap > 0.0:
-            slack = min(
-                slack, _to_plane(points, best, points[j, 0], points[j, 1], points[j, 2], x, y, z, gap)
-            )
+    for j in (first, one, other):
+        if j != best:
+            gap = sqrt(_distance(points, j, points[best, 0], points[best, 1], points[best, 2]))
+            if gap > 0.0:
+                slack = min(slack, _to_plane(points, best, j, x, y, z) / gap)
     return best, slack
