@@ -70,11 +70,14 @@ def _smoothed(share: np.ndarray, outside: float) -> np.ndarray:
 
 
 def millimetres_to(mask: np.ndarray, affine: np.ndarray) -> np.ndarray:
-    """(nx, ny, nz) array: distance of voxel centres to the nearest one that is set, mm; 0 where set."""
+    """(nx, ny, nz) array: distance of voxel centres to the nearest one that is set, mm; 0 where set.
+
+    Rounded, so that ties are ties whichever axis a distance is along.
+    """
     axes = affine[:3, :3]
     steps = np.linalg.norm(axes, axis=0)
     if np.allclose(axes.T @ axes, np.diag(steps**2), atol=1e-6 * steps.max() ** 2):
-        return ndimage.distance_transform_edt(~mask, sampling=steps)
+        return np.round(ndimage.distance_transform_edt(~mask, sampling=steps), 9)
     tree = cKDTree(np.argwhere(mask) @ axes.T)
     voxels = np.argwhere(np.ones(mask.shape, bool))
-    return tree.query(voxels @ axes.T, workers=-1)[0].reshape(mask.shape)
+    return np.round(tree.query(voxels @ axes.T, workers=-1)[0], 9).reshape(mask.shape)

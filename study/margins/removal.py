@@ -150,8 +150,9 @@ def _ranked(region: Region, voxels: np.ndarray, task: Task, ranking: np.random.G
         keys.append(-risk[tuple(voxels.T)])
     if remove:
         # A cavity would be spared in the middle of what is removed: it comes first.
-        cavity = ndimage.binary_fill_holes(region.solid) & (region.solid == 0)
-        keys.append(~cavity[tuple(voxels.T)])
+        enclosed = (ndimage.binary_fill_holes(region.solid) & (region.solid == 0))[tuple(voxels.T)]
+        millimetres[enclosed] = 0.0
+        keys.append(~enclosed)
     order = np.lexsort(keys)
     return Ranking(flat[order], np.maximum.accumulate(millimetres[order]))
 
