@@ -62,7 +62,13 @@ STYLES = {
     "chosen": Style("#d1372c", 1.0, "chosen: riskiest voxels of the shell"),
     "fiducial": Style("#23262b", 1.0, "fiducial"),
     "kidney": Style("#a8574a", 0.5, "kidney"),
-    "tumour": Style("#3e8a3a", 1.0, "tumour"),
+    "tumour": Style("#e3b53a", 1.0, "tumour"),
+    "swab": Style("#159a37", 1.0, "swab points"),
+    "removed_margin": Style("#86c5ee", 0.4, "safety margin: removed too"),
+    "rim": Style("#cfb7e8", 0.5, "rim of the tumour to stay clear of"),
+    "surely_inside": Style("#4b2a7b", 1.0, "inside the tumour as surely as accepted"),
+    "violated": Style("#d1372c", 1.0, "chosen: most often overlapped"),
+    "enclosed": Style("#f2a024", 1.0, "added by the closing"),
 }
 
 _OTHER = ("#7f7f7f", "#b07aa1", "#499894", "#b6992d", "#79706e", "#d37295")
