@@ -18,6 +18,7 @@ from study.specimens import (
     kidney_catalogue,
     kidney_surface,
     load_kidney,
+    reachable_vertices,
     trace_swab,
     tumour_sections,
 )
@@ -227,6 +228,33 @@ def test_a_swab_of_a_ball_has_the_area_asked_for():
     tilt = np.rad2deg(np.arccos(-points[:, 1] / 30))
     assert 57 < tilt.max() < 61
     assert len(points) == pytest.approx(900, rel=0.07)
+
+
+def test_a_swab_reaches_all_but_the_sinus():
+    """A ball with a narrow bore: its outside is reached, the bottom of the bore is not."""
+    i, j, k = np.indices((64, 64, 64)) - 31.5
+    bored = (i**2 + j**2 + k**2 <= 28**2) & ~((i**2 + j**2 <= 5**2) & (k > -5))
+    volume = LabelVolume(bored.astype(np.uint8), np.diag([1, 1, 1, 1.0]), KIDNEY_NAMES)
+    surface = kidney_surface(volume)
+    reached = reachable_vertices(surface, volume)
+    away = np.linalg.norm(surface.vertices - 31.5, axis=1)
+    assert reached[away > 27].all()
+    assert not reached[away < 22].any()
+    assert (away < 22).sum() > 100
+    for name in ("ball_mm", "tolerance_mm"):
+        with pytest.raises(InputError, match=name):
+            reachable_vertices(surface, volume, **{name: 0.0})
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_swabs_lie_on_what_they_reach(name):
+    case = kidney_case(name)
+    assert 0.85 < case.reachable.mean() < 0.99
+    near = [
+        cKDTree(points).query(case.swab)[0]
+        for points in (case.surface.vertices, case.surface.vertices[case.reachable])
+    ]
+    assert np.mean(near[1] - near[0] < 0.5) > 0.95
 
 
 def test_measures_of_a_ball_in_a_half_space():

@@ -6,6 +6,7 @@ from study.specimens.kidney_catalogue import kidney_case, kidney_catalogue, load
 from study.specimens.kidney_measures import exophytic_share, tumour_sections
 from study.specimens.kidney_parameters import KidneyParameters
 from study.specimens.kidney_raw import affected_kidney
+from study.specimens.kidney_reach import reachable_vertices
 from study.specimens.kidney_swab import SwabRule, trace_swab
 from study.specimens.named_specimens import catalogue, specimen
 from study.specimens.parameters import TemporalBoneParameters
@@ -36,6 +37,7 @@ __all__ = [
     "kidney_surface",
     "load_kidney",
     "mastoidectomy_target",
+    "reachable_vertices",
     "read_kidney_case",
     "read_temporal_bone_case",
     "specimen",

@@ -18,6 +18,7 @@ from study.specimens.kidney import KIDNEY_NAMES
 from study.specimens.kidney_checks import checked_surface, checked_swab, checked_tumour
 from study.specimens.kidney_measures import exophytic_share, tumour_sections
 from study.specimens.kidney_raw import affected_kidney
+from study.specimens.kidney_reach import reachable_vertices
 from study.specimens.kidney_swab import SwabRule, trace_swab
 from study.specimens.orientation import SIDES
 from study.volumes import LabelVolume, read_surface, read_volume
@@ -73,6 +74,11 @@ class KidneyCase:
             swab = trace_swab(self.surface, self.tumour_centre, self.swab_rule, self.swab_seed)
         swab.flags.writeable = False
         return swab
+
+    @cached_property
+    def reachable(self) -> np.ndarray:
+        """(n,) bool: which vertices of the surface a swab can touch, see `reachable_vertices`."""
+        return reachable_vertices(self.surface, self.anatomy)
 
     @property
     def tumour_centre(self) -> np.ndarray:
