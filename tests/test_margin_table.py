@@ -11,20 +11,19 @@ from scipy import ndimage
 
 from study.cases import Case, load_case
 from study.errors import InputError
+from study.experiments.equal_risk import equal_risk_ratio, volumes_at_risks
 from study.experiments.margin_claims import measured_means, own_claims, printed_means, table_claims
 from study.experiments.margin_survey import at_voxel_size, reason_to_skip
 from study.experiments.margin_table import (
     QUANTITIES,
     VARIANTS,
     beside_each_other,
-    equal_risk_ratio,
     measured_table,
     printed_table,
     run_margin_table,
     select_bones,
     structures_table,
     times_table,
-    volumes_at_risks,
 )
 from study.margins import ACCEPTABLE_RISKS, GrowthSettings, grow_margin
 from study.registration import PointRegistration

@@ -6,11 +6,12 @@ far they scatter) is judged for ours alone.
 
 from __future__ import annotations
 
+from typing import Literal
+
 import pandas as pd
 
 from study import published
 from study.errors import InputError
-from study.experiments.appendix_claims import Where
 from study.experiments.kidney_scaling import ERRORS, PowerLaw, fit_power_law, never_falls
 from study.margins import REMOVAL_RISK
 from study.tables import Claim, Interval, with_interval
@@ -68,7 +69,10 @@ def range_text(values: pd.Series, pattern: str = ".2f") -> str:
 
 
 def table_claims(
-    rows: pd.DataFrame, where: Where, whose: str = "print", acceptable_risk: float = REMOVAL_RISK
+    rows: pd.DataFrame,
+    where: Literal["printed", "measured"],
+    whose: str = "print",
+    acceptable_risk: float = REMOVAL_RISK,
 ) -> list[Claim]:
     """The claims of 4.4 that the printed columns decide.
 

@@ -20,8 +20,8 @@ import pandas as pd
 from tqdm.auto import tqdm
 
 from study.errors import InputError, PaddedVolumeWarning, StudyError
+from study.experiments.equal_risk import equal_risk_ratio
 from study.experiments.kidney_draws import RememberedRegistrations, scatter_at
-from study.experiments.margin_table import equal_risk_ratio
 from study.margins import REMOVAL_RISK, GrowthSettings, SafetyMargin, grow_margin
 from study.paths import PROJECT
 from study.registration import SurfaceRegistration
@@ -267,7 +267,7 @@ def run_kidney_margins(
         ``run, stop, variant``; as printed ``margin_volume_mm3, final_damage_probability, mahalanobis_mean,
         mahalanobis_std, time_min``; ``validated_risk, validated_low, validated_high`` on fresh registrations;
         ``healthy_kidney_mm3`` in the margin; ``tumour_mm3``; ``beyond_image``: the margin needed room beyond
-        it; ``sv_over_ct_at_equal_risk``, see `study.experiments.margin_table.equal_risk_ratio`;
+        it; ``sv_over_ct_at_equal_risk``, see `study.experiments.equal_risk.equal_risk_ratio`;
         ``converged_pct, iterations_mean`` of the fits; ``scatter_mm, bias_mm`` of the registrations over the
         tumour's voxels; ``registration_s``, spent once for all margins of a start and a way to stop, and
         ``growth_s``; ``time_min`` is their sum.

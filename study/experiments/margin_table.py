@@ -19,6 +19,7 @@ from study import published
 from study.cases import load_case
 from study.errors import InputError
 from study.experiments.appendix import over_specimens, select_specimens
+from study.experiments.equal_risk import equal_risk_ratio
 from study.experiments.margin_survey import at_voxel_size, reason_to_skip
 from study.margins import ACCEPTABLE_RISKS, GrowthSettings, SafetyMargin, grow_margin
 from study.margins.published import shell_of
@@ -40,10 +41,6 @@ QUANTITIES = (
     "mahalanobis_mean",
     "mahalanobis_std",
 )
-
-#: Risks, as multiples of the acceptable one, at which volumes are compared. `SafetyMargin.curve`
-#: reaches down to a third.
-_MULTIPLES = np.geomspace(1 / 3, 3, 41)
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,28 +123,6 @@ def margin_row(margin: SafetyMargin) -> dict[str, object]:
 def first_layer_mm3(mask: np.ndarray, volume: LabelVolume) -> float:
     """mm^3 of the voxels that touch a structure; a margin needs them all, for their corners lie on it."""
     return np.count_nonzero(shell_of(Region.around(mask, volume, 0.0).solid)) * volume.voxel_volume
-
-
-def volumes_at_risks(curve: pd.DataFrame, risks: np.ndarray) -> np.ndarray:
-    """mm^3 of the smallest margins of a curve whose risk is at most each of `risks`; NaN beyond the curve."""
-    descending = -curve["risk"].to_numpy()
-    first = np.searchsorted(descending, -np.asarray(risks), side="left")
-    volumes = np.append(curve["volume_mm3"].to_numpy(), np.nan)
-    return volumes[first]
-
-
-def equal_risk_ratio(sv: pd.DataFrame, ut: pd.DataFrame, acceptable_risk: float) -> float:
-    """Volume of the spatially varying margin over that of the uniformly thick one at the same risk.
-
-    In-sample risks stop where the rank of one voxel lets them, so the two final margins seldom have the same
-    risk. Here both are read off their whole curves at the same risks, a third of the acceptable one to three
-    times it; the geometric mean of the ratios evens out the steps.
-    """
-    risks = acceptable_risk * _MULTIPLES
-    with np.errstate(divide="ignore", invalid="ignore"):
-        ratios = np.log(volumes_at_risks(sv, risks) / volumes_at_risks(ut, risks))
-    ratios = ratios[np.isfinite(ratios)]
-    return float(np.exp(ratios.mean())) if len(ratios) else float("nan")
 
 
 def _margins_of(
