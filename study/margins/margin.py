@@ -12,7 +12,7 @@ from scipy import ndimage
 from study.errors import InputError, MarginError
 from study.margins.exact import Choice
 from study.margins.overall_risk import RiskEstimate, overall_damage_risk
-from study.margins.point_risk import all_distances, point_damage_risk
+from study.margins.point_risk import all_distances, point_damage_risk, widest_deviation
 from study.margins.protrusion import largest_losses, protrusion_risk
 from study.margins.region import Region, reach_of
 from study.margins.room import with_edge
@@ -154,11 +154,17 @@ class SafetyMargin:
 
     @cached_property
     def shell_distances(self) -> np.ndarray:
-        """(n,) smallest Mahalanobis distance of the final shell's voxels to the structure's surface."""
+        """(n,) smallest Mahalanobis distance of the final shell's voxels to the structure's surface.
+
+        Infinite under an error that does not scatter.
+        """
         around = Region.around(self.structure_mask | self.mask, self.volume, 0.0)
         region = replace(around, solid=around.part(self.structure_mask).view(np.uint8))
         region = with_edge(region) if self.purpose == "stay_inside" else region
-        return all_distances(region, self.final_shell - region.low, displacement_moments(self.model))
+        moments = displacement_moments(self.model)
+        if not widest_deviation(region, moments) > 0:
+            return np.full(len(self.final_shell), np.inf)
+        return all_distances(region, self.final_shell - region.low, moments)
 
     @property
     def shell_point_risks(self) -> np.ndarray:
@@ -204,7 +210,7 @@ class SafetyMargin:
 
     def summary(self) -> pd.Series:
         """The rows of Table 3.2, and what else says how good the margin is."""
-        distances = self.shell_distances
+        distances = self.shell_distances[np.isfinite(self.shell_distances)]
         values = {
             "structure": self.structure,
             "shape": self.shape,

@@ -13,8 +13,9 @@ from study.volumes import LabelVolume
 _EMPTY = ("background", "air")
 #: A margin that needs more voxels to look at than this is no margin any more.
 _MOST_VOXELS = 30_000_000
-#: A registration that moves a structure so many times as far as others do is a gross misregistration.
-_GROSS = 2.0
+#: Registrations that move a structure so many times as far as all others get no room of their own; those that
+#: do so many times as far as the median one are called gross.
+_GROSS, _FAR = 2.0, 5.0
 
 
 def room_for(
@@ -46,13 +47,13 @@ def room_for(
     size = np.prod(high - low + 2.0 * np.ceil((longest + beyond) * steps_per_mm(volume.affine)))
     if size > _MOST_VOXELS:
         usual = float(np.median(moved))
-        gross = int(np.count_nonzero(moved > max(longest / 2, _GROSS * usual)))
+        limit = max(longest / 2, _FAR * usual)
+        gross = int(np.count_nonzero(moved > limit))
+        named = f"; {gross} of {len(moved)} are gross misregistrations, by more than {limit:.4g} mm"
         raise GeometryError(
-            f"room: expected registrations of which all but {most} need at most {_MOST_VOXELS:.3g} voxels "
-            f"looked at; {gross} of {len(moved)} move the structure by more than "
-            f"{max(longest / 2, _GROSS * usual):.4g} mm, the median one by {usual:.4g} mm, and room for "
-            f"{longest:.4g} mm is {size:.3g} voxels of {volume.spacing.round(3).tolist()} mm. Drop gross "
-            f"misregistrations, or crop or coarsen the volume"
+            f"room: expected registrations of which all but {most} ask for at most {_MOST_VOXELS:.3g} voxels "
+            f"to be looked at, got {size:.3g} voxels of {volume.spacing.round(3).tolist()} mm: they move the "
+            f"structure by up to {longest:.4g} mm, the median one by {usual:.4g} mm{named if gross else ''}"
         )
     return longest + beyond
 
