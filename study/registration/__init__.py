@@ -1,5 +1,6 @@
 """Registration: closed-form fits, what they miss to first order, and models of it that can be drawn."""
 
+from study.registration.alignment import Alignment, AlignmentSettings, align_surface
 from study.registration.first_order import first_order_tre_covariance, isotropic_tre_covariance
 from study.registration.icp import IcpSettings, SurfaceFits, SurfaceTree, register_surface
 from study.registration.moments import DisplacementMoments, sampled_moments
@@ -16,6 +17,8 @@ from study.registration.surface import SurfaceRegistration
 
 __all__ = [
     "FLE_RMS",
+    "Alignment",
+    "AlignmentSettings",
     "CombinedErrors",
     "DisplacementMoments",
     "ErrorSource",
@@ -27,6 +30,7 @@ __all__ = [
     "SurfaceFits",
     "SurfaceRegistration",
     "SurfaceTree",
+    "align_surface",
     "displacement_moments",
     "first_order_tre_covariance",
     "isotropic_tre_covariance",
