@@ -21,6 +21,8 @@ GROWTHS = {
     "exact, spatially varying": ("exact", "spatially_varying"),
     "exact, constant thickness": ("exact", "constant_thickness"),
 }
+#: How often they are counted at most before a step of the published growth takes what it has.
+_MOST_BATCHES = 2
 #: Risks that are tried when nothing is left to stay inside of.
 LARGER_RISKS = (0.02, 0.05, 0.1, 0.2)
 
@@ -31,6 +33,7 @@ def removal_settings(registrations: int, method: str = "exact", validated: bool 
         method,
         registrations=registrations,
         violation_registrations=registrations,
+        most_batches=_MOST_BATCHES,
         validation_registrations=registrations if validated else 0,
     )
 
@@ -109,7 +112,7 @@ def thickest(margin: SafetyMargin) -> float:
     return float(away[margin.mask].max())
 
 
-def growth_words(table: pd.DataFrame, acceptable_risk: float) -> str:
+def growth_words(table: pd.DataFrame, acceptable_risk: float, registrations: int) -> str:
     """What a table of margins says, in words that follow from its numbers (Markdown).
 
     Parameters
@@ -117,8 +120,10 @@ def growth_words(table: pd.DataFrame, acceptable_risk: float) -> str:
     table : DataFrame
         Of `removal_table`.
     acceptable_risk : float
+    registrations : int
+        On which each margin was grown.
     """
-    text = []
+    text = [f"Each margin was grown on {registrations} registrations and looked at on as many fresh ones."]
     for fit, rows in table.groupby(level="fit", sort=False):
         rows = rows.droplevel("fit")
         printed = rows.loc["published growth"]
@@ -260,7 +265,7 @@ def purposes_table(groups: Mapping[str, Mapping[str, SafetyMargin]]) -> pd.DataF
     return table
 
 
-def purposes_words(table: pd.DataFrame) -> str:
+def purposes_words(table: pd.DataFrame, acceptable_risk: float) -> str:
     """What `purposes_table` says (Markdown)."""
     text = []
     for error, rows in table.groupby(level="error", sort=False):
@@ -280,9 +285,8 @@ def purposes_words(table: pd.DataFrame) -> str:
                 f"({inside['inside_mm3'] / whole:.0%}) land in it, all together, in at least "
                 f"{1 - inside['acceptable_risk']:.0%} of registrations."
             )
-            least = rows["acceptable_risk"].min()
-            if inside["acceptable_risk"] > least:
-                said += f" Of what shall do so in all but {least:g} of them nothing would be left."
+            if inside["acceptable_risk"] > acceptable_risk:
+                said += f" Of what shall do so in all but {acceptable_risk:g} of them nothing would be left."
         text.append(said)
     return "\n\n".join(text)
 

@@ -317,7 +317,7 @@ def denser_words(table: pd.DataFrame) -> str:
     )
     if change >= _MATTERS:
         text += (
-            f"So most of what a typical converged fit is off by, a factor of {change:.1f}, is no uncertainty "
+            f"So {1 - 1 / change:.0%} at least of what a typical converged fit is off by is no uncertainty "
             "of the patch: it is the lattice of vertices, between which a fit that matches points with "
             "vertices comes to rest. "
         )
@@ -327,4 +327,4 @@ def denser_words(table: pd.DataFrame) -> str:
         text += "The worst stay: they lie in other minima, which more vertices do not take away."
     elif first["worst_1_in_100_mm"] >= _MATTERS * last["worst_1_in_100_mm"]:
         text += "The worst come down with it."
-    return text
+    return text.rstrip()

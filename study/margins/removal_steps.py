@@ -136,10 +136,12 @@ def removal_step(margin: SafetyMargin, risk: float, rng: object = None) -> Remov
                 f"rng: expected what the margin was grown with; step {step} led to {grown} voxels now, to "
                 f"{history['margin_voxels'].iloc[step + 1]} then"
             )
+    violations_of = np.zeros(region.whole, np.int32)
+    violations_of[region.box] = counts
     return RemovalStep(
         number,
         region.full(before),
-        region.full(counts),
+        violations_of,
         counted,
         region.full(chosen),
         region.full(enclosed),
