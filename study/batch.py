@@ -5,6 +5,9 @@
 The notebook's parameters come from its own ``parameters`` cell, then from the profile in
 ``params.yaml``, then from ``-p``. A parameter that the notebook does not declare is an error: papermill
 alone would warn and run the notebook with its default, which looks like success.
+
+``--each strategy zigzag 3d --each dof 4 5`` runs it once for every combination, two side by side; then
+``--output`` names the parameters: ``figures/executed/appendix_a_{strategy}_{dof}dof.ipynb``.
 """
 
 from __future__ import annotations
@@ -12,10 +15,13 @@ from __future__ import annotations
 import argparse
 import ast
 import os
+import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +37,7 @@ from traitlets.config import Config  # noqa: E402
 
 from study.errors import FileFormatError, InputError, StudyError  # noqa: E402
 from study.paths import PROJECT  # noqa: E402
+from study.threads import WORKERS_VARIABLE  # noqa: E402
 
 EXECUTED = PROJECT / "figures" / "executed"
 """Folder of the executed copies; they are for reading and no result depends on them."""
@@ -43,6 +50,9 @@ ENVIRONMENT = {
     "JUPYTER_PREFER_ENV_PATH": "1",  # the kernel of this environment, not one of the same name at home
 }
 """What a batch run sets for its kernel."""
+
+SIDE_BY_SIDE = 2
+"""Runs of ``--each`` at the same time."""
 
 
 def declared_parameters(notebook: nbformat.NotebookNode, name: str = "notebook") -> dict[str, Any]:
@@ -253,8 +263,50 @@ def run_notebook(
     return target
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run ``python -m study.batch``; return 0, 1 if a cell raised, 2 if the call was wrong."""
+def combinations(each: Sequence[Sequence[str]]) -> list[dict[str, str]]:
+    """Return what ``--each`` asks for.
+
+    Parameters
+    ----------
+    each : sequence of sequence of str
+        A parameter's name and its values, for every ``--each``.
+
+    Returns
+    -------
+    list of dict of str to str
+        Parameters of each run, the last ``--each`` changing fastest; one run without any for none.
+    """
+    names = [name for name, *_ in each]
+    return [dict(zip(names, values, strict=True)) for values in product(*(values for _, *values in each))]
+
+
+def _run_side_by_side(given: argparse.Namespace) -> int:
+    """Run this module once for each combination, in processes of their own; return the worst code."""
+    common = [sys.executable, "-m", "study.batch", given.notebook]
+    for name, value in given.parameters:
+        common += ["-p", name, value]
+    if given.profile is not None:
+        common += ["--profile", given.profile]
+    if given.profile_file is not None:
+        common += ["--profile-file", os.fspath(given.profile_file)]
+    commands = []
+    for values in combinations(given.each):
+        command = [*common, "--output", given.output.format(**values)]
+        for name, value in values.items():
+            command += ["-p", name, value]
+        commands.append(command)
+    side_by_side = min(SIDE_BY_SIDE, os.cpu_count() or 1)
+    environment = {**os.environ, WORKERS_VARIABLE: "1"}  # they share the cores: none needs more processes
+    pool = ThreadPoolExecutor(side_by_side)
+    try:
+        runs = [pool.submit(subprocess.run, command, env=environment) for command in commands]
+        return max(abs(run.result().returncode) for run in runs)
+    finally:
+        pool.shutdown(cancel_futures=True)  # when interrupted, the rest need not begin
+
+
+def command_line() -> argparse.ArgumentParser:
+    """Return the parser of ``python -m study.batch``."""
     parser = argparse.ArgumentParser(prog="python -m study.batch", description=__doc__.split("\n")[0])
     parser.add_argument("notebook", help="path of the notebook")
     parser.add_argument(
@@ -266,12 +318,33 @@ def main(arguments: Sequence[str] | None = None) -> int:
         dest="parameters",
         help="set one parameter; goes before the profile (repeatable)",
     )
+    parser.add_argument(
+        "--each",
+        nargs="+",
+        action="append",
+        default=[],
+        metavar=("NAME", "VALUE"),
+        help="run once for each value of a parameter (repeatable: for every combination)",
+    )
     chosen = parser.add_mutually_exclusive_group()
     chosen.add_argument("--profile", help="profile of params.yaml; default: the notebook's own defaults")
     chosen.add_argument("--profile-file", type=Path, help="file that holds the profile's name")
-    parser.add_argument("--output", help="executed copy; default: figures/executed/<name>.ipynb")
+    parser.add_argument(
+        "--output", help="executed copy, with {NAME} for --each; default: figures/executed/<name>.ipynb"
+    )
+    return parser
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run ``python -m study.batch``; return 0, 1 if a cell raised, 2 if the call was wrong."""
+    parser = command_line()
     given = parser.parse_args(arguments)
+    for name, *_ in given.each:
+        if f"{{{name}}}" not in (given.output or ""):
+            parser.error(f"--each {name}: expected {{{name}}} in --output, got {given.output}")
     try:
+        if given.each:
+            return _run_side_by_side(given)
         profile = given.profile
         if given.profile_file is not None:
             profile = given.profile_file.read_text(encoding="utf-8").strip()

@@ -1,4 +1,7 @@
-"""Halves of an array for two threads: compiled loops that let go of the interpreter run side by side."""
+"""What runs side by side: threads on the halves of an array, and how many processes an experiment starts.
+
+Compiled loops that let go of the interpreter run in threads, all else in processes.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +11,11 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
+
+from study.errors import InputError
+
+#: Names how many processes an experiment starts unless it is told: one where notebooks run side by side.
+WORKERS_VARIABLE = "STUDY_WORKERS"
 
 #: More threads than this gain little: each fills a memory of answers of its own.
 _MOST = 4
@@ -33,3 +41,19 @@ def in_threads(work: Callable[[slice], None], count: int, least: int) -> None:
         return
     with ThreadPoolExecutor(threads) as pool:
         list(pool.map(work, pieces))
+
+
+def usual_workers() -> int:
+    """How many processes an experiment starts: of `WORKERS_VARIABLE`, else two, or one on a single core.
+
+    Raises
+    ------
+    InputError
+        If the environment asks for anything but a whole number of at least one.
+    """
+    asked = os.environ.get(WORKERS_VARIABLE)
+    if not asked:
+        return min(2, os.cpu_count() or 1)
+    if not asked.isdigit() or int(asked) < 1:
+        raise InputError(f"{WORKERS_VARIABLE}: expected how many processes, at least 1, got {asked!r}")
+    return int(asked)

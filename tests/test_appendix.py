@@ -1,5 +1,6 @@
 """Running the planners over the catalogue, and taking rows up again."""
 
+import os
 from types import SimpleNamespace
 
 import numpy as np
@@ -12,6 +13,7 @@ from study.experiments import appendix
 from study.planners import Plan
 from study.prepare import tiny_volume
 from study.tables import save_table
+from study.threads import usual_workers
 
 NAMES = [f"CH{k:02d}" for k in range(1, 20)] + [f"TB{k:02d}" for k in range(1, 18)]
 
@@ -112,3 +114,18 @@ def test_processes_give_the_order_asked_for():
     names = [f"{k:03d}" for k in range(7)]
     assert appendix.over_specimens(int, names, workers=1) == list(range(7))
     assert appendix.over_specimens(int, names, workers=2) == list(range(7))
+
+
+def test_processes_are_as_many_as_the_environment_says(monkeypatch):
+    monkeypatch.delenv("STUDY_WORKERS", raising=False)
+    assert usual_workers() == min(2, os.cpu_count())
+    monkeypatch.setenv("STUDY_WORKERS", "1")
+    pids = appendix.over_specimens(_process, range(3))
+    assert set(pids) == {os.getpid()}
+    monkeypatch.setenv("STUDY_WORKERS", "some")
+    with pytest.raises(InputError, match=r"STUDY_WORKERS.*at least 1, got 'some'"):
+        usual_workers()
+
+
+def _process(_):
+    return os.getpid()

@@ -12,6 +12,8 @@ from papermill.parameterize import parameterize_notebook
 
 from study.batch import (
     checked_parameters,
+    combinations,
+    command_line,
     declared_parameters,
     private_connection,
     profile_parameters,
@@ -21,11 +23,10 @@ from study.paths import PROJECT
 STAGES = yaml.safe_load((PROJECT / "dvc.yaml").read_text(encoding="utf-8"))["stages"]
 
 
-def command_of(stage):
-    """Notebook and ``-p`` parameters of a stage's command."""
-    words = shlex.split(stage["cmd"])[3:]
-    flags = [k for k, word in enumerate(words) if word == "-p"]
-    return words[0], {words[k + 1]: words[k + 2] for k in flags}
+def runs_of(stage):
+    """Notebook of a stage's command, and the parameters of each of its runs."""
+    given = command_line().parse_args(shlex.split(stage["cmd"])[3:])
+    return given.notebook, [{**dict(given.parameters), **values} for values in combinations(given.each)]
 
 
 @pytest.fixture(scope="module")
@@ -34,16 +35,11 @@ def folder(tmp_path_factory):
     return tmp_path_factory.mktemp("figures")
 
 
-@pytest.mark.notebook
-@pytest.mark.parametrize("name", [name for name in STAGES if name != "prepare"])
-def test_notebook_makes_the_outputs_of_its_stage(name, folder):
-    notebook, parameters = command_of(STAGES[name])
-    path = PROJECT / notebook
+def run(path, parameters, folder):
     node = load_notebook_node(str(path))
     given = {**profile_parameters(path.stem, "test"), **parameters, "output_dir": str(folder)}
     values = checked_parameters(declared_parameters(node, path.name), given, path.name)
     node = parameterize_notebook(node, values, kernel_name="python3", language="python")
-    begun = time.time()
     with private_connection() as config:
         client = NotebookClient(
             node,
@@ -53,6 +49,15 @@ def test_notebook_makes_the_outputs_of_its_stage(name, folder):
             config=config,
         )
         client.execute()
+
+
+@pytest.mark.notebook
+@pytest.mark.parametrize("name", [name for name in STAGES if name != "prepare"])
+def test_notebook_makes_the_outputs_of_its_stage(name, folder):
+    notebook, runs = runs_of(STAGES[name])
+    begun = time.time()
+    for parameters in runs:
+        run(PROJECT / notebook, parameters, folder)
     expected = {Path(file).name for out in STAGES[name]["outs"] for file in out}
     fresh = {
         file.name for file in folder.iterdir() if file.stat().st_mtime >= begun and file.stat().st_size > 0

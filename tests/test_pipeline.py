@@ -2,6 +2,7 @@
 
 import ast
 import os
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -12,7 +13,15 @@ import pytest
 import yaml
 from IPython.core.inputtransformer2 import TransformerManager
 
-from study.batch import checked_parameters, declared_parameters, main, profile_parameters, run_notebook
+from study.batch import (
+    checked_parameters,
+    combinations,
+    command_line,
+    declared_parameters,
+    main,
+    profile_parameters,
+    run_notebook,
+)
 from study.errors import FileFormatError, InputError
 from study.manifest import read_manifest
 from study.paths import PROJECT
@@ -32,11 +41,15 @@ def outputs(stage):
     return {Path(path).name: options for out in stage["outs"] for path, options in out.items()}
 
 
+def command_of(stage):
+    """The arguments of a stage's command, as the batch runner reads them."""
+    words = shlex.split(stage["cmd"])
+    assert words[:3] == ["python", "-m", "study.batch"]
+    return command_line().parse_args(words[3:])
+
+
 def notebook_of(stage):
-    (notebook,) = [
-        word for word in stage["cmd"].split() if word.endswith(".ipynb") and "executed" not in word
-    ]
-    return notebook
+    return command_of(stage).notebook
 
 
 # The manifest
@@ -121,7 +134,11 @@ def test_stage_depends_on_all_it_reads_and_keeps_nothing_in_a_cache(name):
         stage["deps"]
     )
     assert set(stage["params"]) == {f"quick.{stem}", f"full.{stem}"}
-    assert f"--output figures/executed/{name}.ipynb" in stage["cmd"]
+    given = command_of(stage)
+    copies = [given.output.format(**values) for values in combinations(given.each)]
+    assert len(set(copies)) == len(copies)
+    assert all(copy.startswith(f"figures/executed/{name}") for copy in copies)
+    assert given.each or copies == [f"figures/executed/{name}.ipynb"]
     for output, options in outputs(stage).items():
         assert options["cache"] is False
         assert Path(output).suffix in {".csv", ".json", ".png", ".vtp", ".nrrd"}
@@ -143,7 +160,7 @@ def test_stages_that_read_each_others_tables_are_tested_by_one_worker_in_their_o
             assert maker is None or groups[maker] == groups[name]
             assert maker or not path.endswith((".csv", ".json", ".png", ".vtp", ".nrrd"))
         seen |= dict.fromkeys(outputs(stage), name)
-    assert groups["appendix_a_3d_5dof"] == groups["table_2_2"] != groups["published_audit"]
+    assert groups["appendix_a"] == groups["table_2_2"] != groups["published_audit"]
     assert len(set(groups.values())) > 1
 
 
@@ -272,6 +289,28 @@ def test_batch_runs_in_the_project_whatever_the_working_directory(tmp_path, monk
     assert (tmp_path / "where.txt").read_text().split("\n") == [str(PROJECT), "3.0", "1"]
     done = nbformat.read(tmp_path / "done.ipynb", as_version=4)
     assert all(cell.execution_count for cell in done.cells if cell.cell_type == "code")
+
+
+@pytest.mark.notebook
+def test_batch_runs_each_combination_and_says_when_one_of_them_fails(tmp_path, capfd):
+    notebook = write_notebook(
+        tmp_path / "n.ipynb",
+        "x = 0\ny = 'a'\nz = 1.0",
+        "import os; os.environ['STUDY_WORKERS'], x, y, z",
+        "assert (x, y) != (2, 'c')",
+    )
+    arguments = [str(notebook), "--each", "x", "1", "2", "--each", "y", "b", "c", "-p", "z", "5"]
+    assert main([*arguments, "--output", str(tmp_path / "{x}{y}.ipynb")]) == 1
+    assert "AssertionError" in capfd.readouterr().err
+    for x, y in ((1, "b"), (1, "c"), (2, "b"), (2, "c")):
+        done = nbformat.read(tmp_path / f"{x}{y}.ipynb", as_version=4)
+        said = [
+            out.data["text/plain"] for cell in done.cells for out in cell.get("outputs", []) if "data" in out
+        ]
+        assert said == [str(("1", x, y, 5.0))]
+    with pytest.raises(SystemExit):
+        main([*arguments, "--output", str(tmp_path / "{x}.ipynb")])
+    assert "expected {y} in --output" in capfd.readouterr().err
 
 
 @pytest.mark.notebook

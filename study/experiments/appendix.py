@@ -24,6 +24,7 @@ from study.planners.planning import STRATEGIES
 from study.prepare import load_kernels, warm, warm_planning
 from study.robots import FeedSettings, Motion, predict_milling
 from study.specimens import catalogue, specimen
+from study.threads import usual_workers
 
 #: Printed table of each strategy and number of degrees of freedom.
 PRINTED = {("zigzag", 4): "A.1", ("3d", 4): "A.2", ("zigzag", 5): "A.3", ("3d", 5): "A.4"}
@@ -130,7 +131,7 @@ def motion_of(name: str, strategy: str = "zigzag", seed: int = 0) -> Motion:
 
 
 def _workers(asked: int, jobs: int) -> int:
-    return max(1, min(asked or min(2, os.cpu_count() or 1), jobs))
+    return max(1, min(asked or usual_workers(), jobs))
 
 
 def over_specimens(
@@ -144,7 +145,8 @@ def over_specimens(
         Picklable, of one name.
     names : sequence of str
     workers : int
-        Processes; 0 takes two, or one where there is only one core. 1 stays in this process.
+        Processes; 0 takes two, or one where there is only one core or where another notebook runs beside
+        this one (`usual_workers`). 1 stays in this process.
     load : callable
         Compiles what `function` needs: once, before several processes would do it.
 
@@ -181,7 +183,7 @@ def run_appendix(
     strategy : {"3d", "zigzag"}
     dof : int
     workers : int
-        Processes; 0 takes two. ``simulation_time_s`` is measured while they run side by side.
+        Processes; 0 as for `over_specimens`. ``simulation_time_s`` is measured while two run side by side.
     seed : int
     feed : FeedSettings, optional
 
