@@ -69,7 +69,7 @@ def test_random_motions_are_undone(kidney):
 def test_other_patches_and_bare_vertices():
     mesh, rng = bumpy_ball(), np.random.default_rng(2)
     errors = []
-    for n in range(8):
+    for n in range(5):
         place = mesh.vertices[rng.integers(len(mesh.vertices))]
         swab = cap(mesh, place, 26.0, 500, rng)
         away, motion = moved_at_random(swab, rng)
@@ -92,11 +92,10 @@ def test_other_patches_and_bare_vertices():
 def test_real_kidneys(name):
     case = read_kidney_case(real(f"kidney/{name}"))
     rng = np.random.default_rng(3)
-    for n in range(2):
-        swab, motion = moved_at_random(case.swab, rng)
-        found = align_surface(case.surface, swab, rng=n)
-        assert off_truth(found.transform, motion, case.swab) < TARGET
-        assert found.ratio > 1.5
+    swab, motion = moved_at_random(case.swab, rng)
+    found = align_surface(case.surface, swab)
+    assert off_truth(found.transform, motion, case.swab) < TARGET
+    assert found.ratio > 1.5
 
 
 def test_same_seed_same_answer_and_it_moves_with_the_swab(kidney):
