@@ -268,8 +268,8 @@ def _checked_aligned(vertices: np.ndarray, swab: np.ndarray) -> None:
     )
     if distance > _FAR * extent + spacing:
         raise GeometryError(
-            f"swab: expected points on the surface, mm; they are {distance:.3g} mm from its vertices (root mean "
-            f"square) and extend over {np.ptp(swab, axis=0).round(3).tolist()} mm, the surface over "
-            f"{np.ptp(vertices, axis=0).round(3).tolist()} mm. Is the unit mm? If the swab is in another frame, "
-            f"align_surface(surface, swab) finds the way"
+            f"swab: expected points on the surface, mm; they are {distance:.3g} mm from its vertices (root "
+            f"mean square) and extend over {np.ptp(swab, axis=0).round(3).tolist()} mm, the surface over "
+            f"{np.ptp(vertices, axis=0).round(3).tolist()} mm. Is the unit mm? If the swab is in another "
+            f"frame, align_surface(surface, swab) finds the way"
         )
