@@ -335,7 +335,10 @@ def test_words_follow_from_the_numbers():
     assert "0.50 times as much" in text and "50 % is the stopping rule" in text
     assert "still know how wrong they started (position)" in text
     same = rows_of(proportional, lambda run, t, p, r: 1.0)
-    assert "the stopping rule makes little difference" in conclusion(same, printed_rows(), TITLES)
+    text = conclusion(same, printed_rows(), TITLES)
+    assert "the stopping rule makes little difference" in text
+    assert "SV 0.77, below both (1.00 converged, 1.00 loose)" in text
+    assert "CT 1.07, above both (1.00 converged, 1.00 loose)" in text
     one = same[(same["table"] == "B.1") & (same["run"] == "loose")]
     text = conclusion(one, printed_rows(), TITLES)
     assert "errors of the start do not vary" in text and "Only one stopping rule" in text

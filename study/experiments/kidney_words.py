@@ -137,6 +137,27 @@ def _verdict(ratio: float) -> str:
     )
 
 
+def _where_print_lies(printed: Mapping[str, PowerLaw], rows: pd.DataFrame) -> list[str]:
+    """Between which of our exponents of the position error the printed ones are."""
+    of_run = {run: laws(part) for run, part in rows.groupby("run")}
+    # the growth of the text's run is the printed one
+    loose = of_run.get("published") or of_run.get("loose") or {}
+    error, texts = ERRORS[0], []
+    for variant, law in printed.items():
+        ends = [side.get(variant) for side in (of_run.get("converged") or {}, loose)]
+        if any(end is None or error not in end.exponents for end in ends):
+            continue
+        low, high = (end.exponents[error].mean for end in ends)
+        value = law.exponents[error].mean
+        place = "below both" if value < min(low, high) else "above both"
+        if min(low, high) <= value <= max(low, high):
+            place = "between them"
+        texts.append(f"{variant} {value:.2f}, {place} ({low:.2f} converged, {high:.2f} loose)")
+    if not texts:
+        return []
+    return ["**Where print lies** by the exponent of the position error: " + "; ".join(texts) + "."]
+
+
 def _percent(share: float) -> str:
     return "–" if np.isnan(share) else f"{100 * share:.0f} %"
 
@@ -160,4 +181,5 @@ def conclusion(rows: pd.DataFrame, printed: pd.DataFrame, titles: Mapping[str, s
         if (rows["run"] == run).any()
     ]
     texts.append(stopping_in_words(rows))
+    texts += _where_print_lies(laws(printed), rows)
     return "\n\n".join(texts)

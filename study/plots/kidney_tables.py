@@ -78,7 +78,7 @@ def kidney_volumes(beside: pd.DataFrame, titles: Mapping[str, str]) -> Figure:
     ]
     if (values == 0).any():
         handles.append(Line2D([], [], color="0.4", marker="<", ls="", label="empty, at the edge"))
-    legend_below(figure, handles, 3)
+    legend_below(figure, handles, 2)
     return figure
 
 
