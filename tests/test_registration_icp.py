@@ -186,6 +186,21 @@ def test_converged_result_is_a_fixed_point():
     np.testing.assert_allclose(again.transforms, done.transforms, rtol=0, atol=1e-9)
 
 
+@pytest.mark.parametrize("between", [(0, 0, 0), (1, 0, 0), (1, 1, 0), (1, 1, 1), (0.5, 0, 0)])
+def test_points_amid_equally_near_vertices_come_to_rest(between):
+    """On a lattice with points half way between vertices, where the choice is free."""
+    axis = 2.0 * np.arange(6)
+    surface = np.stack(np.meshgrid(axis, axis, axis[:3], indexing="ij"), axis=-1).reshape(-1, 3)
+    starts = np.tile(np.eye(4), (4, 1, 1))
+    starts[:, :3, 3] = [[0, 0, 0], [1, 0, 0], [1, 1, 1], [0.5, 0, 0]]
+    swab = surface + between
+    done = register_surface(surface, swab, starts)
+    assert done.converged.all() and done.iterations.max() < 10
+    for transform, rms in zip(done.transforms, done.rms, strict=True):
+        nearest = cKDTree(surface).query(moved(transform, swab))[0]
+        np.testing.assert_allclose(rms, np.sqrt((nearest**2).mean()), rtol=0, atol=1e-9)
+
+
 def test_known_transform_is_recovered():
     """A swab of vertices themselves, moved by a known transform: fits from nearby find it exactly."""
     rng = np.random.default_rng(4)
