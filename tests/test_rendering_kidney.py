@@ -75,6 +75,16 @@ def test_figure_is_drawn(name, grown, step, inside, tmp_path):
     assert image.std() > 0.03 and len(np.unique(image.round(2))) > 10
 
 
+def test_shell_is_drawn_around_the_margin_of_its_step(grown, step):
+    """What the margin became later is not in the picture."""
+    pictures = []
+    for mask in (grown.mask, np.zeros_like(grown.mask)):
+        figure = violation_figure(small_kidney(), replace(grown, mask=mask), step)
+        pictures.append([axes.images[0].get_array() for axes in figure.axes if axes.images])
+    for one, other in zip(*pictures, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
 def test_camera_stands_on_the_tumours_side():
     case = small_kidney()
     kidney = case.anatomy.points(np.argwhere(case.anatomy.mask("kidney"))).mean(axis=0)

@@ -259,7 +259,7 @@ def _shares_section(
     image = np.ones((*values.shape, 3))
     image[values >= 0] = _SHARES(colours(values[values >= 0]))[:, :3]
     for mask, name, opacity in (
-        (margin.mask, "removed_margin", 0.85),
+        (grown, "removed_margin", 0.85),
         (margin.structure_mask, "tumour", 1.0),
     ):
         inside = plane.of(volume, mask)
@@ -320,7 +320,7 @@ def margins_on_kidney(case: KidneyCase, margins: Mapping[str, SafetyMargin]) -> 
     ----------
     case : KidneyCase
     margins : mapping of str to SafetyMargin
-        What is said of each margin: one row each, all in one scale.
+        What each is called: one row a margin, all in one scale.
     """
     middle, half = _extent(case.anatomy, case.anatomy.mask("kidney", "tumour"), 5.0)
     low, high = middle - half, middle + half
@@ -336,7 +336,8 @@ def margins_on_kidney(case: KidneyCase, margins: Mapping[str, SafetyMargin]) -> 
     for row, (title, margin) in enumerate(margins.items()):
         volume, top = margin.volume, 5.0 * row
         ax = _fitted(board, plane, 0.6, top + 0.4, 5.2, 4.0)
-        margin_section(ax, plane, margin, case.swab, f"({'aceg'[row % 4]}) {title}")
+        said = f"({'aceg'[row % 4]}) {title}, margin {margin.volume_mm3 / 1000:.1f} cm³"
+        margin_section(ax, plane, margin, case.swab, said)
         scene = Scene(view)
         scene.mask(margin.structure_mask, volume.affine, "tumour")
         scene.mask(margin.inside, volume.affine, "removed_margin", opacity=0.5)
