@@ -12,7 +12,7 @@ from study.volumes import LabelVolume
 
 _EMPTY = ("background", "air")
 #: A margin that needs more voxels to look at than this is no margin any more.
-_MOST_VOXELS = 30_000_000
+_MOST_VOXELS = 10_000_000
 #: Registrations that move a structure so many times as far as all others get no room of their own; those that
 #: do so many times as far as the median one are called gross.
 _GROSS, _FAR = 2.0, 5.0

@@ -32,6 +32,8 @@ _MOMENT_SEED = 4_2_4
 _CHUNK = 500
 #: Root mean square distance of an aligned swab from its surface, over the surface's extent, at most.
 _FAR = 0.05
+#: Points and vertices from which a draw at random leaves enough for a fit.
+_LEAST_RESAMPLED, _LEAST_KEPT = 10, 30
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,6 +117,16 @@ class SurfaceRegistration:
                 f"{type(self.surface).__name__}"
             )
         set_(self, "truth", truth)
+        if self.resample_patch and len(self.swab) < _LEAST_RESAMPLED:
+            raise InputError(
+                f"swab: expected at least {_LEAST_RESAMPLED} points to draw from with replacement "
+                f"(resample_patch), got {len(self.swab)}"
+            )
+        if self.vertex_share < 1 and self.vertex_share * len(self.vertices) < _LEAST_KEPT:
+            raise InputError(
+                f"vertex_share: expected a share that leaves {_LEAST_KEPT} vertices or more, got "
+                f"{self.vertex_share} of {len(self.vertices)}"
+            )
         _checked_aligned(self.vertices, self.swab)
         set_(self, "tree", SurfaceTree.of(self.vertices))
 
