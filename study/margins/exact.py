@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
+from study.margins.order_statistics import smallest_margin
 from study.margins.overall_risk import Memory, RiskEstimate, largest_values, ranked_corners
 from study.margins.point_risk import reach_of_metric, smallest_distances, widest_deviation
 from study.margins.region import Region, reach_of
@@ -154,7 +155,7 @@ def grow_exactly(
         beyond = np.count_nonzero(needs > len(ranking.order))
         enough = beyond <= allowed // 3 or len(ranking.order) == np.count_nonzero(region.solid == 0)
         cut *= _WIDER
-    size = int(np.partition(needs, len(needs) - 1 - allowed)[len(needs) - 1 - allowed])
+    size = smallest_margin(needs, allowed)
     margin = np.zeros(region.shape, bool)
     margin.reshape(-1)[ranking.order[:size]] = True
     validation = None

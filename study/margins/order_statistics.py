@@ -65,3 +65,17 @@ def allowed_hits(registrations: int, acceptable_risk: float, confidence: float |
     hits = hits[hits < registrations]
     sure = stats.beta.cdf(acceptable_risk, hits + 1, registrations - hits) >= confidence
     return int(hits[sure].max(initial=0))
+
+
+def smallest_margin(needs: np.ndarray, allowed: int) -> int:
+    """Voxels of the smallest margin that is too small for at most so many registrations.
+
+    Parameters
+    ----------
+    needs : (n,) int array
+        Voxels that each registration needs.
+    allowed : int
+        Below n.
+    """
+    place = len(needs) - 1 - allowed
+    return int(np.partition(needs, place)[place])

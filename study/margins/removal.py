@@ -14,6 +14,7 @@ from scipy import ndimage
 from study.errors import MarginError
 from study.margins.coverage import coverage, loss, millimetres_to
 from study.margins.exact import Choice, Ranking
+from study.margins.order_statistics import smallest_margin
 from study.margins.overall_risk import RiskEstimate
 from study.margins.protrusion import (
     farthest_moved,
@@ -61,7 +62,7 @@ def grow_to_remove(
     ranks.reshape(-1)[ranking.order] = np.arange(1, len(ranking.order) + 1, dtype=np.int32)
     ranks[region.solid == 1] = 0
     needs = largest_protrusions(region, ranks, transforms, beyond=len(ranking.order) + 1)
-    size = int(np.partition(needs, len(needs) - 1 - allowed)[len(needs) - 1 - allowed])
+    size = smallest_margin(needs, allowed)
     size = max(size, np.count_nonzero(cavity))
     union = region.solid == 1
     union.reshape(-1)[ranking.order[:size]] = True
@@ -114,7 +115,7 @@ def grow_to_stay_inside(
     order, distances = ranking.order, ranking.distances
     ranks = np.arange(1, len(order) + 1)
     needs = largest_losses(region, order, ranks, transforms)
-    size = int(np.partition(needs, len(needs) - 1 - allowed)[len(needs) - 1 - allowed])
+    size = smallest_margin(needs, allowed)
     if size == len(order):
         raise MarginError(
             f"stay_inside: expected a region that lands in the structure in all but {allowed} of "
