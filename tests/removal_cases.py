@@ -8,7 +8,7 @@ from study.margins import GrowthSettings
 from study.registration import RobotError
 
 SHAPES = ("spatially_varying", "constant_thickness")
-FEW = GrowthSettings(registrations=300, validation_registrations=200)
+FEW = GrowthSettings(registrations=300, validation_registrations=200, violation_registrations=600)
 
 
 def printed(**changes):

@@ -1,5 +1,6 @@
 """The margin to be removed as an order statistic: against brute force, and against a simulated resection."""
 
+from dataclasses import replace
 from functools import cache
 from itertools import pairwise
 
@@ -291,7 +292,7 @@ TOLERANCE = 0.03
 
 @cache
 def true_over_tolerance(method, shape, runs, registrations=1000):
-    judges = Prepared(BALL_ERROR.sample(60_000, 999))
+    judges = Prepared(BALL_ERROR.sample(40_000, 999))
     changes = {"registrations": registrations, "validation_registrations": 0}
     if method == "published":
         changes |= {"least_transfer": 1, "violation_registrations": registrations}
@@ -300,28 +301,28 @@ def true_over_tolerance(method, shape, runs, registrations=1000):
     for seed in range(runs):
         margin = grow_margin(BALL, "nerve", BALL_ERROR, TOLERANCE, shape, settings, seed, purpose="remove")
         assert margin.damage_risk <= TOLERANCE
-        out.append(margin.risk_on(60_000, model=judges).risk / TOLERANCE)
+        out.append(margin.risk_on(40_000, model=judges).risk / TOLERANCE)
     return np.array(out)
 
 
 @pytest.mark.parametrize("shape", SHAPES)
 def test_exact_margins_keep_the_tolerance_with_the_confidence_that_is_asked_for(shape):
-    found = true_over_tolerance("exact", shape, 30)
-    assert (found > 1).sum() <= 5  # of 30 at 5 %: more in one of 300 series
+    found = true_over_tolerance("exact", shape, 20)
+    assert (found > 1).sum() <= 4  # of 20 at 5 %: more in one of 390 series
     assert np.median(found) > 0.5  # nor are they needlessly large
 
 
 def test_ranking_and_stopping_on_the_same_registrations_overshoots():
-    found = true_over_tolerance("published", SHAPES[0], 8)
+    found = true_over_tolerance("published", SHAPES[0], 6)
     assert np.median(found) > 1.2
     # much less so where distance ranks and the same registrations only stop
-    assert np.median(true_over_tolerance("published", SHAPES[1], 8)) < 0.8 * np.median(found)
+    assert np.median(true_over_tolerance("published", SHAPES[1], 6)) < 0.8 * np.median(found)
 
 
 def test_a_larger_risk_never_needs_a_larger_margin():
     volume, model = REMOVALS["ball, oblique and flipped"]
     for shape in SHAPES:
-        few = GrowthSettings(registrations=400, validation_registrations=0)
+        few = replace(FEW, registrations=400, validation_registrations=0)
         masks = [
             grow_margin(volume, "nerve", model, risk, shape, few, 1, purpose="remove")
             for risk in (0.01, 0.02, 0.05, 0.1, 0.3, 0.9)
@@ -342,7 +343,7 @@ class Moved:
 
 
 @given(st.integers(0, 10_000), st.sampled_from(SHAPES))
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=8, deadline=None)
 def test_moving_volume_and_error_together_changes_nothing(seed, shape):
     rng = np.random.default_rng(seed)
     volume, model = REMOVALS["rod"]
@@ -350,7 +351,7 @@ def test_moving_volume_and_error_together_changes_nothing(seed, shape):
     frame[:3, :3] = Rotation.random(random_state=seed).as_matrix()
     frame[:3, 3] = rng.normal(size=3) * 100
     turned = LabelVolume(volume.labels, frame @ volume.affine, volume.names)
-    few = GrowthSettings(registrations=200, validation_registrations=100)
+    few = replace(FEW, registrations=200, validation_registrations=100)
     here = grow_margin(volume, "nerve", Moved(model, np.eye(4)), 0.05, shape, few, seed, purpose="remove")
     there = grow_margin(turned, "nerve", Moved(model, frame), 0.05, shape, few, seed, purpose="remove")
     one, two = (set(map(tuple, in_given(m, v))) for m, v in ((here, volume), (there, turned)))
@@ -360,7 +361,7 @@ def test_moving_volume_and_error_together_changes_nothing(seed, shape):
 
 
 @given(st.permutations([0, 1, 2, 3, 4, 5]), st.permutations(range(3)))
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=5, deadline=None)
 def test_labels_and_axes_may_be_permuted(values, axes):
     volume, model = REMOVALS["blobs, mirrored"]
     solid = volume.mask("nerve")
