@@ -257,6 +257,8 @@ def run_notebook(
             kernel_name="python3",
             language="python",
             progress_bar=False,
+            request_save_on_cell_execute=False,  # at the end, or when a cell raises: each time takes a while
+            autosave_cell_every=0,
             cwd=PROJECT,
             config=config,
         )

@@ -7,17 +7,19 @@ stages and nothing else does.
 
 from __future__ import annotations
 
+import multiprocessing
 import os
 import platform
-import subprocess
 import sys
 from collections.abc import Sequence
+from contextlib import AbstractContextManager
 from functools import cache
 from itertools import product
 
 import numba
 import numpy as np
 import yaml
+from numba.core.caching import IndexDataCacheFile
 
 from study.collision._kernels import pose_is_free
 from study.errors import InputError, StudyError
@@ -31,9 +33,6 @@ from study.volumes import LabelVolume
 
 #: Names the profile of ``params.yaml`` that the pipeline runs in; ``quick`` when it is not set.
 PROFILE_VARIABLE = "STUDY_PROFILE"
-
-#: What a process of its own compiles beside planning; surfaces share kernels with the margins' registration.
-_WARM_MARGINS = "from study.prepare import warm_margins, warm_surface; warm_margins(); warm_surface()"
 
 
 def chosen_profile() -> str:
@@ -134,24 +133,59 @@ def warm() -> None:
     warm_surface()
 
 
-def warm_side_by_side() -> None:
-    """Compile every kernel once, planning and margins in a process each.
+def take_turns(turn: AbstractContextManager) -> None:
+    """Let this process add to numba's cache only when no other one does that has the same lock.
 
-    They have no kernel in common, and each room's are kept in a folder of its own.
+    Numba reads the list of what is compiled of a function, appends to it and writes it back: of two
+    processes in between, one would be forgotten, or be handed the other's code. What follows here is
+    numba's own step; reading needs no turn, because files are replaced whole.
+
+    Parameters
+    ----------
+    turn : context manager
+        A lock that the processes share.
+    """
+    save = IndexDataCacheFile.save
+
+    def save_in_turn(self: IndexDataCacheFile, key: object, data: object) -> None:
+        with turn:
+            save(self, key, data)
+
+    IndexDataCacheFile.save = save_in_turn
+
+
+def _warm_the_other_half(turn: AbstractContextManager) -> None:
+    take_turns(turn)
+    warm_surface()
+    warm_planning(degrees=DEGREES_OF_FREEDOM[1:])
+
+
+def warm_side_by_side() -> None:
+    """Compile every kernel once, in two processes that take about as long.
+
+    What both need is compiled by whoever comes to it first, or by both; that costs less than the waiting
+    of one.
 
     Raises
     ------
     StudyError
-        If the margins' process fails.
+        If the other process fails.
     """
-    command = [sys.executable, "-c", _WARM_MARGINS]
-    with subprocess.Popen(command) as margins:
-        warm_planning()
+    context = multiprocessing.get_context("spawn")
+    turn = context.Lock()
+    other = context.Process(target=_warm_the_other_half, args=(turn,))
+    other.start()
+    save = IndexDataCacheFile.save
+    try:
+        take_turns(turn)
+        warm_planning(degrees=DEGREES_OF_FREEDOM[:1])
         warm_checks()
-        if margins.wait():
-            raise StudyError(
-                f"the process that compiles the kernels of margins ended with {margins.returncode}"
-            )
+        warm_margins()
+    finally:
+        IndexDataCacheFile.save = save
+        other.join()
+    if other.exitcode:
+        raise StudyError(f"the other process that compiles kernels ended with {other.exitcode}")
 
 
 def main() -> int:

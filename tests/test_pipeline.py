@@ -1,10 +1,15 @@
 """The pipeline, the manifest and the notebooks say the same, and the batch runner says no when it should."""
 
 import ast
+import multiprocessing
 import os
 import shlex
 import subprocess
 import sys
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
+from itertools import product
 from pathlib import Path
 
 import nbformat
@@ -12,7 +17,9 @@ import parallel
 import pytest
 import yaml
 from IPython.core.inputtransformer2 import TransformerManager
+from numba.core.caching import IndexDataCacheFile
 
+from study import prepare
 from study.batch import (
     checked_parameters,
     combinations,
@@ -22,7 +29,7 @@ from study.batch import (
     profile_parameters,
     run_notebook,
 )
-from study.errors import FileFormatError, InputError
+from study.errors import FileFormatError, InputError, StudyError
 from study.manifest import read_manifest
 from study.paths import PROJECT
 from study.prepare import chosen_profile
@@ -253,6 +260,53 @@ for name in sys.argv[1:]:
     assert names
     done = subprocess.run([sys.executable, "-c", code, *names], capture_output=True, text=True, check=True)
     assert done.stdout.split() == []
+
+
+def test_two_processes_compile_together_what_one_would(monkeypatch):
+    class Process:
+        exitcode = 0
+        join = start = lambda self: None
+
+        def __init__(self, target, args):
+            target(*args)
+
+    done = []
+    for name in ("warm_planning", "warm_checks", "warm_margins", "warm_surface"):
+        monkeypatch.setattr(
+            prepare,
+            name,
+            lambda name=name, **chosen: done.extend(product([name], chosen.get("degrees", [0]))),
+        )
+    monkeypatch.setattr(multiprocessing.get_context("spawn"), "Process", Process)
+    monkeypatch.setattr(IndexDataCacheFile, "save", IndexDataCacheFile.save)  # put back at the end
+    prepare.warm_side_by_side()
+    planning = {("warm_planning", dof) for dof in prepare.DEGREES_OF_FREEDOM}
+    assert len(done) == 5
+    assert set(done) == planning | {("warm_checks", 0), ("warm_margins", 0), ("warm_surface", 0)}
+    Process.exitcode = 3
+    with pytest.raises(StudyError, match="ended with 3"):
+        prepare.warm_side_by_side()
+
+
+def test_numbas_lists_of_what_is_compiled_are_written_by_one_at_a_time(monkeypatch):
+    saving, most = [], []
+
+    def save(self, key, data):
+        saving.append(key)
+        time.sleep(0.01)
+        most.append(len(saving))
+        saving.remove(key)
+
+    def in_threads():
+        most.clear()
+        with ThreadPoolExecutor(4) as pool:
+            list(pool.map(lambda key: IndexDataCacheFile.save(None, key, b""), range(8)))
+        return max(most)
+
+    monkeypatch.setattr(IndexDataCacheFile, "save", save)
+    assert in_threads() > 1
+    prepare.take_turns(threading.Lock())
+    assert in_threads() == 1
 
 
 # The batch runner
