@@ -15,7 +15,13 @@ from scipy import ndimage
 
 from study.errors import MarginError
 from study.margins.coverage import millimetres_to
-from study.margins.protrusion import counted_violations, farthest_moved, protrusion_risk
+from study.margins.overall_risk import RiskEstimate
+from study.margins.protrusion import (
+    counted_violations,
+    farthest_moved,
+    largest_protrusions,
+    protrusion_risk,
+)
 from study.margins.published import shell_of, transfer_share
 from study.margins.region import Region
 from study.margins.room import room_for, with_room, without_room
@@ -79,10 +85,13 @@ def grow_by_violations(task: Task, growing: np.random.Generator, validating: np.
     region = Region.around(mask, volume, reach)
     by_distance = task.shape == "constant_thickness"
     distances = millimetres_to(region.solid == 1, region.affine).reshape(-1) if by_distance else None
-    violations = Violations(task, transforms, growing)
+    violations, harmful = Violations(task, transforms, growing), transforms
     union, rows, farthest = region.solid.copy(), [], 0.0
     for _ in range(settings.most_steps):
-        estimate = protrusion_risk(region, union, transforms)
+        # What no longer protrudes never will again: the union only grows.
+        outside = (union == 0).astype(np.int32)
+        harmful = harmful[largest_protrusions(region, outside, harmful, first_only=True) > 0]
+        estimate = RiskEstimate(len(harmful), len(transforms))
         shell = shell_of(union)
         share = transfer_share(
             estimate.risk, task.acceptable_risk, settings.initial_transfer, task.decay_start
