@@ -139,6 +139,7 @@ def test_words_on_vertices_follow_from_the_numbers():
         {"spacing_mm": [0.8, 0.4], "median_mm": [0.6, 0.2], "worst_1_in_100_mm": [0.9, 0.5]}, index=["a", "b"]
     )
     assert "So 67% at least" in denser_words(rows) and "The worst come down" in denser_words(rows)
+    assert "were not asked for" in denser_words(rows.iloc[:1])
     rows["median_mm"] = [0.3, 0.3]
     rows["worst_1_in_100_mm"] = [5.0, 5.0]
     text = denser_words(rows)

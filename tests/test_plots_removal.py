@@ -9,7 +9,7 @@ from small_kidney import loose, small_kidney
 
 from study.errors import InputError
 from study.experiments.kidney_chapter import removal_settings
-from study.margins import grow_margin
+from study.margins import RiskEstimate, grow_margin
 from study.margins.removal_steps import outermost, protruding, removal_step, typical_protrusion
 from study.plots.removal import axial_plane, coronal_plane, removal_risks, removal_transfer_figure
 from study.plots.surface_registration import fits_figure, scatter_figure
@@ -166,8 +166,12 @@ def test_charts_are_drawn(grown, exact, tmp_path):
         figure.savefig(tmp_path / f"{name}.png", dpi=40)
 
 
-def test_risk_chart_marks_the_stop_and_the_validated_risk(grown):
-    (axes,) = removal_risks({"loose": {"published growth": grown}}).axes
+@pytest.mark.parametrize(("hits", "shown"), [(3, 3 / 200), (0, 0.5 / 200)])
+def test_risk_chart_marks_the_stop_and_the_validated_risk(grown, hits, shown):
+    """None of the registrations has a level of its own on the logarithmic axis."""
+    margin = replace(grown, estimate=RiskEstimate(hits, 200), validation=RiskEstimate(9, 200))
+    (axes,) = removal_risks({"loose": {"published growth": margin}}).axes
     marked = [tuple(line.get_xydata()[0]) for line in axes.lines if len(line.get_xydata()) == 1]
-    assert (grown.volume_mm3, grown.damage_risk) in marked
-    assert (grown.volume_mm3, max(grown.validation.risk, 1e-9)) in marked
+    assert marked == [(margin.volume_mm3, shown), (margin.volume_mm3, 9 / 200)]
+    assert axes.get_ylim()[0] < 0.5 / 200
+    assert [label.get_text() for label in axes.get_yticklabels()][-1] == "none"

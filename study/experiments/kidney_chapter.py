@@ -370,10 +370,13 @@ def tracing_words(table: pd.DataFrame, acceptable_risk: float) -> str:
     """What `tracing_table` says (Markdown)."""
     *single, union, drawn = table.index
     one, both, every = table.loc[single], table.loc[union], table.loc[drawn]
+    worst = f"{one['risk'].min():.3g}"
+    if one["risk"].max() > one["risk"].min():
+        worst += f" to {one['risk'].max():.3g}"
     text = (
-        f"A margin grown for one tracing does damage in {one['risk'].min():.3g} to {one['risk'].max():.3g} "
-        f"of registrations once the tracing may be any, the union in {both['risk']:.3g}, the margin that "
-        f"draws a tracing for every registration in {every['risk']:.3g} (accepted: {acceptable_risk:g}). "
+        f"A margin grown for one tracing does damage in {worst} of registrations once the tracing is drawn "
+        f"too, the union in {both['risk']:.3g}, the margin that draws a tracing for every registration in "
+        f"{every['risk']:.3g} (accepted: {acceptable_risk:g}). "
     )
     if both["margin_mm3"] <= 0 and every["margin_mm3"] <= 0:
         return text + "None of them needs a voxel: the digitiser's error is lost in the size of a voxel."

@@ -308,6 +308,11 @@ def denser_words(table: pd.DataFrame) -> str:
     table : DataFrame
     """
     first, last = table.iloc[0], table.iloc[-1]
+    if len(table) == 1:
+        return (
+            f"With vertices {first['spacing_mm']:.2f} mm apart the median error of converged fits is "
+            f"{first['median_mm']:.2f} mm; denser ones were not asked for."
+        )
     change = first["median_mm"] / max(last["median_mm"], 1e-9)
     text = (
         f"With vertices {first['spacing_mm']:.2f} mm apart the median error of converged fits is "

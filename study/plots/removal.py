@@ -200,30 +200,33 @@ def removal_risks(groups: Mapping[str, Mapping[str, SafetyMargin]]) -> Figure:
     """
     figure, axes = new_axes(1, len(groups), (6.2 * len(groups), 5.0), sharey=True)
     handles: dict[str, Line2D] = {}
-    least = 1.0
+    every = [margin for margins in groups.values() for margin in margins.values()]
+    # A risk of none of the registrations has a level of its own, below that of one of them.
+    none = 0.5 / max(margin.estimate.registrations for margin in every)
     for ax, (title, margins) in zip(axes[0], groups.items(), strict=True):
         for colour, (name, margin) in zip(SERIES, margins.items(), strict=False):
             table = margin.curve()
-            known = table[table["risk"] > 0]
-            least = min(least, known["risk"].min() if len(known) else 1.0)
+            risk = np.maximum(table["risk"], none)
             if margin.choice is None:
-                ax.plot(table["volume_mm3"], table["risk"], "o-", ms=3.5, lw=1.2, color=colour)
+                ax.plot(table["volume_mm3"], risk, "o-", ms=3.5, lw=1.2, color=colour)
             else:
-                ax.step(table["volume_mm3"], table["risk"], where="post", color=colour, lw=1.8)
-            ax.plot(margin.volume_mm3, margin.damage_risk, "o", ms=9, mfc=colour, mec="black", zorder=4)
+                ax.step(table["volume_mm3"], risk, where="post", color=colour, lw=1.8)
+            at = margin.volume_mm3
+            ax.plot(at, max(margin.damage_risk, none), "o", ms=9, mfc=colour, mec="black", zorder=4)
             if margin.validation is not None:
-                low, high = margin.validation.interval
-                ax.plot([margin.volume_mm3] * 2, [max(low, 1e-9), high], color=colour, lw=3.5, alpha=0.75)
-                ax.plot(
-                    margin.volume_mm3, max(margin.validation.risk, 1e-9), "_", ms=13, mew=2.5, color=colour
-                )
+                low, high = np.maximum(margin.validation.interval, none)
+                ax.plot([at, at], [low, high], color=colour, lw=3.5, alpha=0.75)
+                ax.plot(at, max(margin.validation.risk, none), "_", ms=13, mew=2.5, color=colour)
             handles.setdefault(name, Line2D([], [], color=colour, lw=2.4, label=name))
         accepted = next(iter(margins.values())).acceptable_risk
         ax.axhline(accepted, color="black", lw=0.9, ls=":")
         ax.set(yscale="log", xlabel="volume of the margin (mm³)", title=title, xlim=(0, None))
         ax.spines[["top", "right"]].set_visible(False)
         ax.grid(color="#00000015", lw=0.6)
-    axes[0, 0].set(ylabel="overall damage risk", ylim=(min(least / 1.5, 1e-3), 1.3))
+    ticks = [risk for risk in (1.0, 0.1, 0.01, 0.001, 0.0001) if risk > 1.5 * none]
+    axes[0, 0].set(ylabel="overall damage risk", ylim=(none / 1.25, 1.3))
+    axes[0, 0].set_yticks([*ticks, none], labels=[*(f"{risk:g}" for risk in ticks), "none"])
+    axes[0, 0].minorticks_off()
     marks = [
         Line2D([], [], marker="o", ls="", ms=9, mfc="#bbbbbb", mec="black", label="where growth stopped"),
         Line2D([], [], marker="_", color="#777777", lw=3.5, ms=13, mew=2.5,

@@ -65,7 +65,8 @@ def fits_figure(
     axes[0, 0].set(ylabel="error at the tumour, rms (mm)", title="(a) where it matters")
     axes[0, 0].set_ylim(max(0.05, 0.7 * np.quantile(errors, 0.02)), 1.2 * errors.max())
     axes[0, 1].set(ylabel="swab to nearest vertices, rms (mm)", title="(b) what the fit makes small")
-    axes[0, 1].set_ylim(0.8 * np.nanmin(residual), 1.2 * np.nanmax(residual))
+    low, high = 0.8 * np.nanmin(residual), 1.2 * np.nanmax(residual)
+    axes[0, 1].set_ylim(min(low, 0.48), max(high, 1.05))  # so that there are two numbers on the axis
     handles = [
         Line2D([], [], color=_LINE, lw=1, label=f"one of {errors.shape[1]} starts"),
         Line2D([], [], color=_MIDDLE, lw=2.4, label="median"),
