@@ -26,9 +26,7 @@ VOLUME = "margin_volume_mm3"
 @pytest.fixture(scope="module")
 def rows():
     return pd.concat(
-        run_kidney_margins(
-            KIDNEYS, positions, rotations, [run], count, validation_registrations=0, confidence=None
-        ).rows
+        run_kidney_margins(KIDNEYS, positions, rotations, [run], count, 0, 100, confidence=None).rows
         for positions, rotations, run, count in GROWN
     )
 
