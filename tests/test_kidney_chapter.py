@@ -144,6 +144,8 @@ def test_words_on_vertices_follow_from_the_numbers():
     rows["worst_1_in_100_mm"] = [5.0, 5.0]
     text = denser_words(rows)
     assert "is not what a typical" in text and "The worst stay" in text
+    rows["worst_1_in_100_mm"] = [0.9, 0.8]  # about a vertex: no other minimum
+    assert "The worst" not in denser_words(rows)
 
 
 def margins_table(low, last=500.0):

@@ -328,8 +328,8 @@ def denser_words(table: pd.DataFrame) -> str:
         )
     else:
         text += "So the vertices' spacing is not what a typical converged fit is off by. "
-    if last["worst_1_in_100_mm"] >= _TAIL * last["median_mm"]:
-        text += "The worst stay: they lie in other minima, which more vertices do not take away."
-    elif first["worst_1_in_100_mm"] >= _MATTERS * last["worst_1_in_100_mm"]:
+    if first["worst_1_in_100_mm"] >= _MATTERS * last["worst_1_in_100_mm"]:
         text += "The worst come down with it."
+    elif last["worst_1_in_100_mm"] >= _TAIL * last["spacing_mm"]:
+        text += "The worst stay, and far beyond a vertex: they lie in other minima."
     return text.rstrip()
