@@ -6,10 +6,10 @@ import os
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
-import trimesh
 from scipy import ndimage
 
 from study.errors import FileFormatError, LabelError
@@ -23,6 +23,9 @@ from study.specimens.kidney_swab import SwabRule, trace_swab
 from study.specimens.orientation import SIDES
 from study.volumes import LabelVolume, read_surface, read_volume
 from study.volumes import surface as surface_of
+
+if TYPE_CHECKING:
+    import trimesh
 
 #: mm: the Gaussian before a kidney's surface is drawn, and the lattice it is drawn on (about 8 000 to
 #: 12 000 vertices).
@@ -126,6 +129,8 @@ def kidney_surface(
     volume = anatomy.with_labels(whole.astype(np.uint8), {"background": 0, "kidney with tumour": 1})
     mesh = surface_of(volume, "kidney with tumour", smooth_mm, pitch_mm)
     if mesh.body_count > 1:
+        import trimesh
+
         # Specks, and cavities (of negative volume) that smoothing has cut off from the outside.
         bodies = mesh.split(only_watertight=False)
         least = 0.01 * max(body.volume for body in bodies)

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
-import trimesh
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from study.errors import GeometryError
 from study.volumes import LabelVolume
+
+if TYPE_CHECKING:
+    import trimesh
 
 #: mm between where surface or swab should lie and where they do, at most.
 FARTHEST = 10.0

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
-import trimesh
 from scipy import ndimage
 
 from study.errors import InputError
 from study.volumes import LabelVolume
+
+if TYPE_CHECKING:
+    import trimesh
 
 
 def reachable_vertices(

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-import trimesh
 from scipy import ndimage
 
 from study.errors import GeometryError, InputError
 from study.specimens.kidney_checks import checked_surface
 from study.specimens.kidney_depth import DepthMap, depth_map
+
+if TYPE_CHECKING:
+    import trimesh
 
 _FINE = 0.25  # mm between the places at which a line is measured before it is cut into steps
 

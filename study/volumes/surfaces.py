@@ -5,16 +5,19 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import trimesh
 from scipy import ndimage
-from skimage import measure
 
 from study.errors import FileFormatError, GeometryError, InputError, LabelError
 from study.files import written_whole
 from study.volumes.file_checks import existing_file, parsing
 from study.volumes.label_volume import LabelVolume
+
+# Imported where a surface is made: most of what needs volumes makes none.
+if TYPE_CHECKING:
+    import trimesh
 
 _HEADER = b"study label surface; SPACE=LPS; unit mm"
 _MOST_VOXELS = 2**31
@@ -56,6 +59,9 @@ def surface(
     InputError
         If a length is negative or not finite, or smoothing or a coarse lattice leaves nothing.
     """
+    import trimesh
+    from skimage import measure
+
     names = [name] if isinstance(name, str) else list(name)
     mask = volume.mask(*names)
     if not mask.any():
@@ -115,6 +121,8 @@ def write_surface(mesh: trimesh.Trimesh, path: str | os.PathLike[str]) -> None:
     InputError
         If the mesh has no faces or a vertex is not finite.
     """
+    import trimesh
+
     path = Path(path)
     if path.suffix.lower() != ".stl":
         raise FileFormatError(f"{path}: expected a name that ends with .stl")
@@ -146,6 +154,8 @@ def read_surface(path: str | os.PathLike[str]) -> trimesh.Trimesh:
         If it is not an STL file, is truncated, has no triangle, or a coordinate is not finite or more
         than a kilometre.
     """
+    import trimesh
+
     path = existing_file(path)
     if path.suffix.lower() != ".stl":
         raise FileFormatError(f"{path}: expected a name that ends with .stl")
@@ -206,6 +216,8 @@ def volume_from_surface(
     FileNotFoundError, FileFormatError
         See `read_surface`.
     """
+    import trimesh
+
     source = "mesh"
     if not isinstance(mesh, trimesh.Trimesh):
         source = str(mesh)
