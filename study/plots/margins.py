@@ -166,11 +166,30 @@ def landing_section(
         (plane.of(volume, margin.structure_mask), style_of(margin.structure).colour, 1.0),
     ]
     plane.show(axes, layers)
-    place = plane.place(landing.landed)
+    points_in_plane(axes, plane, volume, landing.landed, landing.hit, 9)
+
+
+def points_in_plane(
+    axes: Axes, plane: Plane, volume: LabelVolume, points: np.ndarray, harmful: np.ndarray, size: float
+) -> None:
+    """Mark those of a registration's points that lie within half a voxel of a plane, harmful ones by crosses.
+
+    Parameters
+    ----------
+    axes : Axes
+    plane : Plane
+    volume : LabelVolume
+    points : (n, 3) array
+        mm.
+    harmful : (n,) bool array
+    size : float
+        Of a harmless point's mark, square points.
+    """
+    place = plane.place(points)
     shown = np.abs(place[:, 2]) <= 0.5 * float(volume.spacing.min())
-    for hit, colour, mark, size in ((False, MISSED, "o", 9), (True, HIT, "X", 26)):
-        kept = shown & (landing.hit == hit)
-        axes.scatter(*place[kept, :2].T, s=size, c=colour, marker=mark, lw=0, zorder=3)
+    for bad, colour, mark, scale in ((False, MISSED, "o", 1.0), (True, HIT, "X", 2.5)):
+        kept = shown & (harmful == bad)
+        axes.scatter(*place[kept, :2].T, s=scale * size, c=colour, marker=mark, lw=0, zorder=3)
 
 
 @styled()

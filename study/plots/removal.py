@@ -14,7 +14,7 @@ from study.errors import InputError
 from study.margins import SafetyMargin
 from study.margins.published import transfer_share
 from study.margins.removal_steps import Protrusion, RemovalStep
-from study.plots.margins import HIT, MISSED, voxel_grid
+from study.plots.margins import HIT, points_in_plane, voxel_grid
 from study.plots.palette import STYLES
 from study.plots.planes import Plane
 from study.plots.style import legend_below, new_axes, styled
@@ -98,11 +98,7 @@ def protrusion_section(
     ]
     plane.show(axes, layers)
     voxel_grid(axes, plane, volume)
-    place = plane.place(shown.appear)
-    near = np.abs(place[:, 2]) <= 0.5 * float(volume.spacing.min())
-    for outside, colour, mark, size in ((False, MISSED, "o", 13), (True, HIT, "X", 30)):
-        kept = near & (shown.outside == outside)
-        axes.scatter(*place[kept, :2].T, s=size, c=colour, marker=mark, lw=0, zorder=3)
+    points_in_plane(axes, plane, volume, shown.appear, shown.outside, 12)
 
 
 @styled()
