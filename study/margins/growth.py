@@ -157,7 +157,7 @@ def grow_margin(
 
 
 def _warn_of_padding(given: LabelVolume, padded: LabelVolume, name: str) -> None:
-    low = np.rint(-padded.indices(given.points(np.zeros((1, 3))))[0]).astype(int) * -1
+    low = np.rint(padded.indices(given.points(np.zeros((1, 3))))[0]).astype(int)
     high = np.array(padded.shape) - given.shape - low
     warnings.warn(
         f"{name}: the margin leaves the volume, which was padded by {low.tolist()} voxels below and "

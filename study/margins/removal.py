@@ -54,10 +54,11 @@ def grow_to_remove(
     reach = _reach(task, transforms, allowed)
     volume, mask, added = with_room(task.volume, task.mask, reach)
     region = Region.around(mask, volume, reach)
+    # A cavity would be spared in the middle of what is removed: it comes first.
     cavity = ndimage.binary_fill_holes(region.solid) & (region.solid == 0)
     near = cavity.copy()
     near[tuple(region.near(lambda points: np.full(len(points), reach)).T)] = True
-    ranking = _ranked(region, np.argwhere(near), task, ranks_from)
+    ranking = _ranked(region, np.argwhere(near), task, ranks_from, cavity)
     ranks = np.full(region.shape, len(ranking.order) + 1, np.int32)
     ranks.reshape(-1)[ranking.order] = np.arange(1, len(ranking.order) + 1, dtype=np.int32)
     ranks[region.solid == 1] = 0
@@ -111,7 +112,7 @@ def grow_to_stay_inside(
     transforms, fresh = task.registrations(growing), task.fresh_registrations(validating)
     inner = Region.around(task.mask, task.volume, 0.0)
     region = with_edge(inner)
-    ranking = _ranked(region, np.argwhere(region.solid), task, ranks_from)
+    ranking = _ranked(region, np.argwhere(region.solid), task, ranks_from, np.zeros(region.shape, bool))
     order, distances = ranking.order, ranking.distances
     ranks = np.arange(1, len(order) + 1)
     needs = largest_losses(region, order, ranks, transforms)
@@ -139,8 +140,13 @@ def grow_to_stay_inside(
     )
 
 
-def _ranked(region: Region, voxels: np.ndarray, task: Task, ranking: np.random.Generator) -> Ranking:
-    """Voxels in the order in which they enter the margin, and how far they are from where it begins, mm."""
+def _ranked(
+    region: Region, voxels: np.ndarray, task: Task, ranking: np.random.Generator, first: np.ndarray
+) -> Ranking:
+    """Voxels in the order in which they enter the margin, and how far they are from where it begins, mm.
+
+    Those of the mask `first` come before all others, at no distance.
+    """
     remove = task.purpose == "remove"
     millimetres = millimetres_to((region.solid == 1) == remove, region.affine)[tuple(voxels.T)]
     flat = np.ravel_multi_index(tuple(voxels.T), region.shape)
@@ -149,12 +155,9 @@ def _ranked(region: Region, voxels: np.ndarray, task: Task, ranking: np.random.G
         transforms = task.ranking_registrations(ranking)
         risk = coverage(region, transforms) if remove else loss(region, transforms)
         keys.append(-risk[tuple(voxels.T)])
-    if remove:
-        # A cavity would be spared in the middle of what is removed: it comes first.
-        enclosed = (ndimage.binary_fill_holes(region.solid) & (region.solid == 0))[tuple(voxels.T)]
-        millimetres[enclosed] = 0.0
-        keys.append(~enclosed)
-    order = np.lexsort(keys)
+    enclosed = first[tuple(voxels.T)]
+    millimetres[enclosed] = 0.0
+    order = np.lexsort([*keys, ~enclosed])
     return Ranking(flat[order], np.maximum.accumulate(millimetres[order]))
 
 
