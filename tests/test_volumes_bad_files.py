@@ -62,7 +62,11 @@ def test_something_else(tmp_path, suffix, content):
     refused(path)
 
 
-@pytest.mark.parametrize("content", [b"no gzip at all", gzip.compress(b"gzip of no NIfTI" * 99)])
+@pytest.mark.parametrize(
+    "content",
+    [b"no gzip at all", gzip.compress(b"gzip of no NIfTI" * 99)],
+    ids=["no gzip", "gzip of no NIfTI"],  # gzip stamps the time: workers would name the test apart
+)
 def test_gz_of_something_else(tmp_path, content):
     (tmp_path / "v.nii.gz").write_bytes(content)
     refused(tmp_path / "v.nii.gz", says="NIfTI")
