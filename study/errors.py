@@ -40,6 +40,32 @@ class PlanViolation(StudyError, RuntimeError):  # noqa: N818 - the violation is 
     """A replayed plan cuts protected bone or drives the shaft into bone."""
 
 
+class ReachError(InputError):
+    """A pose that an arm cannot take."""
+
+
+class CorrespondenceError(InputError):
+    """Fiducials that do not correspond as given.
+
+    Attributes
+    ----------
+    order : tuple of int or None
+        The order of the second list in which they do; None when there is none.
+    """
+
+    def __init__(self, message: str, order: tuple[int, ...] | None = None) -> None:
+        super().__init__(message)
+        self.order = order
+
+
+class CalibrationError(InputError):
+    """Measurements from which what is to be calibrated cannot be told."""
+
+
+class GuidanceError(StudyError, RuntimeError):
+    """A guided robot that was asked for something its state does not allow."""
+
+
 class IncompletePlanWarning(UserWarning):
     """A plan leaves accessible target behind; the message says how much."""
 
