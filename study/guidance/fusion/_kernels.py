@@ -67,9 +67,7 @@ def _correct(P, axis, measured, variance, innovation, work):
 
 
 @inner
-def fuse_position(
-    x, P, sample_s, process, r_position, r_velocity, z_position, z_velocity, fresh, gate, work
-):
+def fuse_position(x, P, sample_s, process, r_position, r_velocity, z_position, z_velocity, fresh, gate, work):
     """One step for the position: predict, then correct; the innovation's NIS of 3 degrees of freedom.
 
     Parameters
