@@ -1,0 +1,157 @@
+"""The optical tracker: what it does to markers, against brute force and Monte Carlo."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from study.errors import InputError
+from study.guidance.frames import difference, rigid
+from study.guidance.tracker import MarkerBody, Tracker, TrackerSettings, facing_pose, view_angles
+from study.registration import register_points
+
+BODY = MarkerBody.plate(80.0)
+
+
+def poses(n: int, seed: int = 0) -> np.ndarray:
+    """Markers in the measuring volume, turned to the camera within some 30 degrees."""
+    rng = np.random.default_rng(seed)
+    places = rng.uniform([-400, -300, 1400], [400, 300, 2200], (n, 3))
+    facing = np.array([facing_pose(place) for place in places]).reshape(n, 4, 4)
+    return facing @ rigid(Rotation.from_rotvec(rng.normal(size=(n, 3)) * 0.3))
+
+
+def test_a_plate_can_be_told_from_itself_turned():
+    apart = np.linalg.norm(BODY.points[:, None] - BODY.points, axis=2)[np.triu_indices(4, 1)]
+    assert np.diff(np.sort(apart)).min() > 1.0
+    assert np.abs(BODY.points.mean(axis=0)).max() < 1e-12
+    assert (BODY.points**2).sum(axis=1).mean() == pytest.approx(80.0**2 / 2)
+
+
+def test_distortion_has_the_stated_size_and_length():
+    """Over many trackers: rms length, zero mean, and a correlation that falls off as stated."""
+    settings = TrackerSettings(distortion_mm=0.2, distortion_length_mm=300.0)
+    steps = np.array([0.0, 150.0, 300.0, 600.0])
+    line = np.array([100.0, -50.0, 1800.0]) + steps[:, None] * np.array([0.6, 0.0, 0.8])
+    found = np.array([Tracker(settings, seed).distortion(line) for seed in range(4000)])
+    assert np.sqrt((found**2).sum(axis=2).mean(axis=0)) == pytest.approx(0.2, rel=0.03)
+    products = (found[:, :1] * found).sum(axis=2).mean(axis=0) / 0.2**2
+    assert products == pytest.approx(np.exp(-(steps**2) / (2 * 300.0**2)), abs=0.04)
+
+
+def test_distortion_stays_and_another_tracker_has_another():
+    places = poses(5)[:, :3, 3]
+    tracker = Tracker(rng=1)
+    assert np.array_equal(tracker.distortion(places), tracker.distortion(places))
+    assert np.array_equal(tracker.distortion(places), Tracker(rng=1).distortion(places))
+    assert not np.allclose(tracker.distortion(places), Tracker(rng=2).distortion(places))
+
+
+def test_distorted_is_the_registration_of_misplaced_spheres():
+    tracker = Tracker(rng=3)
+    true = poses(20)
+    for pose, found in zip(true, tracker.distorted(BODY, true), strict=True):
+        spheres = BODY.points @ pose[:3, :3].T + pose[:3, 3]
+        fit = register_points(BODY.points, spheres + tracker.distortion(spheres))
+        assert np.abs(found - fit.transform).max() < 1e-9
+
+
+def test_near_markers_share_the_distortion():
+    """The difference between two markers 50 mm apart errs much less than either does."""
+    near = np.eye(4)
+    near[0, 3] = 50.0
+    alone, apart = [], []
+    for seed in range(100):
+        tracker = Tracker(rng=seed)
+        first = poses(1, seed)
+        second = first @ near
+        one = tracker.distorted(BODY, first)[0, :3, 3] - first[0, :3, 3]
+        two = tracker.distorted(BODY, second)[0, :3, 3] - second[0, :3, 3]
+        alone.append(one @ one)
+        apart.append((two - one) @ (two - one))
+    assert np.sqrt(np.mean(apart)) < 0.3 * np.sqrt(np.mean(alone))
+
+
+def test_covariance_is_that_of_many_samples():
+    settings = TrackerSettings(quantum_mm=0.0, jitter_mm=(0.05, 0.04, 0.15))
+    tracker = Tracker(settings, rng=0)
+    body = MarkerBody(BODY.points + np.array([10.0, -5.0, 20.0]), "off its origin")
+    for pose in poses(3):
+        true = np.tile(pose, (40_000, 1, 1))
+        turn, shift = difference(tracker.measured(body, true, rng=1), tracker.distorted(body, true[:1]))
+        found = np.cov(np.hstack([turn, shift]), rowvar=False)
+        expected = tracker.pose_covariance(body, pose[None])[0]
+        scale = np.sqrt(np.diag(expected))
+        assert np.abs((found - expected) / np.outer(scale, scale)).max() < 0.03
+
+
+def test_more_and_farther_spheres_err_less():
+    tracker = Tracker(rng=0)
+    pose = poses(1)
+    usual = tracker.pose_covariance(BODY, pose)[0]
+    twice = tracker.pose_covariance(MarkerBody.plate(160.0), pose)[0]
+    assert np.allclose(twice[:3, :3], usual[:3, :3] / 4) and np.allclose(twice[3:, 3:], usual[3:, 3:])
+    turned = BODY.points @ Rotation.from_rotvec([0, 0, np.pi / 4]).as_matrix().T
+    eight = MarkerBody(np.vstack([BODY.points, turned]))
+    assert np.trace(tracker.pose_covariance(eight, pose)[0, 3:, 3:]) == pytest.approx(
+        np.trace(usual[3:, 3:]) / 2
+    )
+    assert np.trace(tracker.pose_covariance(eight, pose)[0, :3, :3]) < 0.55 * np.trace(usual[:3, :3])
+
+
+def test_without_causes_the_tracker_is_right():
+    tracker = Tracker(TrackerSettings(jitter_mm=(0, 0, 0), distortion_mm=0.0, quantum_mm=0.0), rng=0)
+    true = poses(10)
+    assert np.abs(tracker.measured(BODY, true, rng=0) - true).max() < 1e-9
+    assert not tracker.pose_covariance(BODY, true).any()
+
+
+def test_positions_are_rounded():
+    tracker = Tracker(TrackerSettings(quantum_mm=0.05), rng=0)
+    found = tracker.measured(BODY, poses(50), rng=0)[:, :3, 3] / 0.05
+    assert np.abs(found - np.round(found)).max() < 1e-6
+
+
+def test_many_poses_take_little_time():
+    """A thousand virtual experiments ask for some 300 poses each."""
+    tracker, true, rng = Tracker(rng=0), poses(300), np.random.default_rng(0)
+    tracker.measured(BODY, true, rng)
+    best = np.inf
+    for _ in range(5):
+        start = time.perf_counter()
+        tracker.distorted(BODY, true)
+        tracker.pose_covariance(BODY, true)
+        best = min(best, time.perf_counter() - start)
+    assert best < 0.03, f"distorted and pose_covariance of 300 poses took {best * 1e3:.1f} ms"
+
+
+def test_view_angles():
+    pose = facing_pose([300.0, -200.0, 1800.0])
+    turned = pose @ rigid(Rotation.from_rotvec([0.4, 0, 0]))
+    assert view_angles(np.array([pose, turned])) == pytest.approx([0.0, 0.4], abs=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("make", "word"),
+    [
+        (lambda: MarkerBody([[0, 0, 0], [1, 0, 0]]), "at least 3"),
+        (lambda: MarkerBody([[0, 0, 0], [1, 0, 0], [2, 0, 0]]), "one line"),
+        (lambda: MarkerBody.plate(-1.0), "size_mm"),
+        (lambda: TrackerSettings(jitter_mm=(0.1, 0.1)), "jitter_mm"),
+        (lambda: TrackerSettings(distortion_mm=np.nan), "distortion_mm"),
+        (lambda: TrackerSettings(distortion_length_mm=0.0), "distortion_length_mm"),
+        (lambda: TrackerSettings(cycle_s=-0.04), "cycle_s"),
+        (lambda: TrackerSettings(waves=0), "waves"),
+        (lambda: Tracker(rng=0).measured(BODY, np.eye(4)), "shape"),
+        (lambda: Tracker(rng=0).measured(BODY, 2 * np.eye(4)[None]), "rotation"),
+        (lambda: Tracker(rng=0).distorted(BODY, np.full((1, 4, 4), np.nan)), "finite"),
+        (lambda: Tracker(rng=0).distortion([[0, 0, np.inf]]), "finite"),
+        (lambda: facing_pose([0, 0, 0]), "position"),
+    ],
+)
+def test_bad_input_is_named(make, word):
+    with pytest.raises(InputError, match=word):
+        make()
