@@ -80,8 +80,10 @@ def fuse_position(x, P, sample_s, process, r_position, r_velocity, z_position, z
         T of equation 12.
     process : (2,) array
         Variances of a step, of position and velocity.
-    r_position, r_velocity : (3,) array
-        Variances of the measured position and velocity.
+    r_position : (3,) array
+        Variances of the measured position.
+    r_velocity : float
+        Of the measured velocity, along any axis.
     z_position, z_velocity : (3,) array
         Measured now; the position is one of `lags` steps ago, and is not looked at unless `fresh`.
     fresh : bool
@@ -117,7 +119,7 @@ def fuse_position(x, P, sample_s, process, r_position, r_velocity, z_position, z
         if use:
             _correct(P, axis, oldest, r_position[axis], z_position[axis] - x[axis, oldest], work)
         innovation = z_velocity[axis] - x[axis, v] - work[axis, v]
-        _correct(P, axis, v, r_velocity[axis], innovation, work)
+        _correct(P, axis, v, r_velocity, innovation, work)
         for i in range(v + 1):
             x[axis, i] += work[axis, i]
     return nis
@@ -179,7 +181,7 @@ def fuse_orientation(
             for axis in range(3):
                 _correct(P, axis, oldest, r_rotation[axis], small[axis], work)
     for axis in range(3):
-        _correct(P, axis, v, r_velocity[axis], z_velocity[axis] - w[axis] - work[axis, v], work)
+        _correct(P, axis, v, r_velocity, z_velocity[axis] - w[axis] - work[axis, v], work)
         w[axis] += work[axis, v]
     for i in range(oldest + 1):
         exponential(work[0, i], work[1, i], work[2, i], small)
@@ -190,18 +192,18 @@ def fuse_orientation(
 
 @kernel
 def fuse_pose(
-    x, P_position, q, w, P_rotation, sample_s, process, measurement,
+    x, P_position, q, w, P_rotation, sample_s, process, r_position, r_rotation, r_velocity,
     z_position, z_quaternion, z_velocity, fresh, gate, nis, work,
 ):  # fmt: skip
-    """Both steps, for Python: rows of `process` and `measurement` are position, then rotation.
+    """Both steps, for Python: rows of `process` (2, 2) and `r_velocity` (2,) are of position, then rotation.
 
-    `measurement` (4, 3): variances of position, velocity, rotation and angular velocity. Writes `nis` (2,).
+    Writes `nis` (2,).
     """
     nis[0] = fuse_position(
-        x, P_position, sample_s, process[0], measurement[0], measurement[1],
+        x, P_position, sample_s, process[0], r_position, r_velocity[0],
         z_position, z_velocity[:3], fresh, gate, work,
     )  # fmt: skip
     nis[1] = fuse_orientation(
-        q, w, P_rotation, sample_s, process[1], measurement[2], measurement[3],
+        q, w, P_rotation, sample_s, process[1], r_rotation, r_velocity[1],
         z_quaternion, z_velocity[3:], fresh, gate, work,
     )  # fmt: skip
