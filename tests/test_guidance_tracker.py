@@ -10,8 +10,9 @@ from scipy.spatial.transform import Rotation
 
 from study.errors import InputError
 from study.guidance.frames import difference, rigid
-from study.guidance.tracker import MarkerBody, Tracker, TrackerSettings, facing_pose, view_angles
+from study.guidance.tracker import MarkerBody, Tracker, TrackerSettings, facing_pose, touch, view_angles
 from study.registration import register_points
+from study.registration.first_order import motion_of_points
 
 BODY = MarkerBody.plate(80.0)
 
@@ -155,3 +156,75 @@ def test_view_angles():
 def test_bad_input_is_named(make, word):
     with pytest.raises(InputError, match=word):
         make()
+
+
+# -------------------------------------------------------------------------------------------- pointer
+
+TIP = rigid(translation=[0.0, -150.0, 0.0])
+QUIET = TrackerSettings(jitter_mm=(0, 0, 0), distortion_mm=0.0, quantum_mm=0.0)
+POINTS = np.array([[50.0, 20.0, 1700.0], [-30.0, 40.0, 1750.0], [0.0, -60.0, 1680.0]])
+REF = facing_pose([100.0, 100.0, 1720.0])
+
+
+def in_reference(points: np.ndarray) -> np.ndarray:
+    return (points - REF[:3, 3]) @ REF[:3, :3]
+
+
+def test_a_touch_without_causes_is_where_the_point_is():
+    found = touch(Tracker(QUIET, 0), BODY, TIP, POINTS, REF, seating_std_mm=0.0, rng=0)
+    assert np.abs(found - in_reference(POINTS)).max() < 1e-9
+
+
+def test_a_touch_misses_by_what_it_is_told():
+    """Seating alone scatters as stated; a tip's error alone keeps its length and turns with the pointer."""
+    many = np.tile(POINTS, (2000, 1))
+    found = touch(Tracker(QUIET, 0), BODY, TIP, many, REF, seating_std_mm=0.05, rng=0)
+    assert (found - in_reference(many)).std(axis=0) == pytest.approx([0.05] * 3, rel=0.05)
+    error = [0.1, -0.2, 0.2]
+    found = touch(
+        Tracker(QUIET, 0), BODY, TIP, many, REF, seating_std_mm=0.0, rng=0, tip_error_mm=error
+    ) - in_reference(many)
+    assert np.linalg.norm(found, axis=1) == pytest.approx(0.3)
+    assert 0.8 < np.linalg.norm(found.mean(axis=0)) / 0.3 < 0.999
+
+
+def test_frames_of_a_touch_are_averaged():
+    """As the first order of both markers' covariances says: the pointer's tip, seen from the reference."""
+    tracker = Tracker(TrackerSettings(distortion_mm=0.0), rng=0)
+    many = np.tile(POINTS[0], (20_000, 1))
+    once, often = (
+        touch(tracker, BODY, TIP, many, REF, seating_std_mm=0.0, samples=n, rng=1, tilt_rad=0.0)
+        for n in (1, 25)
+    )
+    assert often.std(axis=0) == pytest.approx(once.std(axis=0) / 5, rel=0.03)
+    held = facing_pose(POINTS[0]) @ rigid(translation=-TIP[:3, 3])
+    expected = np.zeros((3, 3))
+    for pose in (held, REF):
+        at = motion_of_points(POINTS[:1] - pose[:3, 3], np.zeros(3))[0]
+        expected += at @ tracker.pose_covariance(BODY, pose[None])[0] @ at.T
+    expected = REF[:3, :3].T @ expected @ REF[:3, :3]
+    scale = np.sqrt(np.diag(expected))
+    assert np.abs((np.cov(once, rowvar=False) - expected) / np.outer(scale, scale)).max() < 0.05
+
+
+def test_a_reference_may_move_between_touches():
+    refs = np.array([REF, facing_pose([-50.0, 0.0, 1600.0]), facing_pose([0.0, 100.0, 1900.0])])
+    found = touch(Tracker(QUIET, 0), BODY, TIP, POINTS, refs, seating_std_mm=0.0, rng=0)
+    for ref, point, one in zip(refs, POINTS, found, strict=True):
+        assert np.abs(ref[:3, :3] @ one + ref[:3, 3] - point).max() < 1e-9
+
+
+@pytest.mark.parametrize(
+    ("change", "word"),
+    [
+        ({"T_cam_ref": poses(2)}, "one pose or 3"),
+        ({"seating_std_mm": -0.1}, "seating_std_mm"),
+        ({"samples": 0}, "samples"),
+        ({"points": [[np.nan, 0, 0]]}, "points"),
+        ({"T_pointer_tip": 2 * np.eye(4)}, "T_pointer_tip"),
+    ],
+)
+def test_bad_touches_are_named(change, word):
+    usual = {"T_pointer_tip": TIP, "points": POINTS, "T_cam_ref": REF, "seating_std_mm": 0.0, "samples": 1}
+    with pytest.raises(InputError, match=word):
+        touch(Tracker(QUIET, 0), BODY, **(usual | change), rng=0)

@@ -14,11 +14,11 @@ class TrackerSettings:
     """An optical tracker, by the causes of its errors.
 
     A spec sheet's volumetric accuracy, such as the 0.25 mm r.m.s. printed for one of the two (section 3.2),
-    is an error of *spheres* over the whole volume. Taken as white noise of a marker it would miss a tip some
-    180 mm away by much more than was ever seen. It is two causes here: a distortion of the measuring volume
-    that changes slowly from place to place and stays the same from frame to frame, so that neighbouring
-    markers share it and differences between near places cancel it; and jitter of each sphere and frame. The
-    pose of a marker follows from its spheres: more of them, or farther apart, err less.
+    is an error of *spheres* over the whole volume. As white noise it would shake a tip 180 mm away from a
+    marker of 80 mm by some 0.4 mm in every frame. It is two causes here: a distortion of the measuring
+    volume that changes slowly from place to place and stays the same from frame to frame, so that
+    neighbouring markers share it and differences between near places cancel it; and jitter of each sphere
+    and frame. The pose of a marker follows from its spheres: more of them, or farther apart, err less.
 
     Attributes
     ----------

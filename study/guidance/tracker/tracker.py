@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
+from study.errors import InputError
 from study.guidance.tracker.markers import MarkerBody, checked_poses
 from study.guidance.tracker.settings import TrackerSettings
 from study.registration.rigid import checked_points
@@ -112,15 +113,20 @@ class Tracker:
                 out[:, row, :, column] = R @ motion[:, row, :, column] @ across
         return out.reshape(-1, 6, 6)
 
-    def measured(self, body: MarkerBody, T_cam_body: ArrayLike, rng: object = None) -> np.ndarray:
+    def measured(
+        self, body: MarkerBody, T_cam_body: ArrayLike, rng: object = None, samples: int = 1
+    ) -> np.ndarray:
         """Poses as the tracker reports them: distorted, with jitter, their position rounded.
 
         Parameters
         ----------
         body : MarkerBody
         T_cam_body : (n, 4, 4) array
-            True poses; each is one sample.
+            True poses.
         rng : anything `numpy.random.default_rng` takes
+        samples : int
+            Frames of a marker at rest that are averaged, to first order in the jitter. Jitter dithers the
+            rounding, so that the mean of several is not rounded.
 
         Returns
         -------
@@ -129,12 +135,15 @@ class Tracker:
         Raises
         ------
         InputError
-            If a pose is not rigid.
+            If a pose is not rigid or there is no sample.
         """
+        if isinstance(samples, bool) or int(samples) != samples or samples < 1:
+            raise InputError(f"samples: expected a whole number of at least 1, got {samples!r}")
         rng = np.random.default_rng(rng)
         spheres = body.placed(checked_poses("T_cam_body", T_cam_body))
-        jitter = rng.standard_normal(spheres.shape) * self.settings.jitter_mm
-        return self.rounded(body.fitted(spheres + self._misplaced(spheres) + jitter))
+        jitter = rng.standard_normal(spheres.shape) * self.settings.jitter_mm / np.sqrt(samples)
+        poses = body.fitted(spheres + self._misplaced(spheres) + jitter)
+        return self.rounded(poses) if samples == 1 else poses
 
     def rounded(self, poses: np.ndarray) -> np.ndarray:
         """The same (n, 4, 4) poses with positions rounded to the settings' quantum."""
