@@ -1,0 +1,1 @@
+"""The guided robot, tick by tick: what `study.guidance.drilling` runs."""
