@@ -191,19 +191,18 @@ def fuse_orientation(
 
 
 @kernel
-def fuse_pose(
-    x, P_position, q, w, P_rotation, sample_s, process, r_position, r_rotation, r_velocity,
-    z_position, z_quaternion, z_velocity, fresh, gate, nis, work,
-):  # fmt: skip
-    """Both steps, for Python: rows of `process` (2, 2) and `r_velocity` (2,) are of position, then rotation.
+def step_position(x, P, sample_s, process, r_position, r_velocity, z_position, z_velocity, fresh, gate, work):
+    """`fuse_position`, for Python."""
+    return fuse_position(
+        x, P, sample_s, process, r_position, r_velocity, z_position, z_velocity, fresh, gate, work
+    )
 
-    Writes `nis` (2,).
-    """
-    nis[0] = fuse_position(
-        x, P_position, sample_s, process[0], r_position, r_velocity[0],
-        z_position, z_velocity[:3], fresh, gate, work,
-    )  # fmt: skip
-    nis[1] = fuse_orientation(
-        q, w, P_rotation, sample_s, process[1], r_rotation, r_velocity[1],
-        z_quaternion, z_velocity[3:], fresh, gate, work,
-    )  # fmt: skip
+
+@kernel
+def step_orientation(
+    q, w, P, sample_s, process, r_rotation, r_velocity, z_quaternion, z_velocity, fresh, gate, work
+):
+    """`fuse_orientation`, for Python."""
+    return fuse_orientation(
+        q, w, P, sample_s, process, r_rotation, r_velocity, z_quaternion, z_velocity, fresh, gate, work
+    )
