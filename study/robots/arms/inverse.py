@@ -1,0 +1,177 @@
+"""Joint angles for a pose: damped least squares on Pinocchio's Jacobian, from every posture of the arm.
+
+A wrist whose axes meet leaves eight postures for a pose: shoulder forward or backward, elbow up or down,
+wrist turned over or not. They follow from the drawing's triangle of upper arm and forearm, and are where
+the iteration starts. For an arm as drawn they are the solutions already; for one as built, off by its errors.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from study.errors import ReachError
+from study.guidance.frames import checked_transform
+
+if TYPE_CHECKING:
+    from study.robots.arms.arm import SixAxisArm
+
+#: Least singular value of a Jacobian (lengths over the arm's reach) at which a pose still counts as regular.
+REGULAR = 0.01
+#: Distance of a pose (mm over the arm's reach, and rad) below which it counts as reached.
+_REACHED = 1e-12
+_STEPS = 50
+#: Slack of a joint limit, rad: what rounding leaves.
+_SLACK = 1e-9
+#: How far the joints of an arm as built may be from those of its drawing at one pose, rad.
+_NEAR = 0.05
+_TURN = 2.0 * math.pi
+
+
+class _Found(NamedTuple):
+    """A solution, the joint furthest past its limit (from 0) and by how many rad (negative: within)."""
+
+    q: np.ndarray
+    joint: int
+    beyond: float
+
+
+def inverse(arm: SixAxisArm, T_rob_ee: ArrayLike, start: np.ndarray) -> np.ndarray:
+    """See `SixAxisArm.inverse`."""
+    T = checked_transform("T_rob_ee", T_rob_ee)
+    guesses = [_unwound(arm, q, start, _NEAR) for q in _postures(arm, T)]
+    guesses.sort(key=lambda q: np.abs(q - start).max())
+    outside: list[_Found] = []
+    singular: list[tuple[float, np.ndarray]] = []
+    nearest = math.inf
+    for guess in guesses:
+        q, rest = _descend(arm, T, guess)
+        nearest = min(nearest, rest)
+        if rest > _REACHED:
+            continue
+        q = _unwound(arm, q, start)
+        beyond = np.maximum(arm.limits[:, 0] - q, q - arm.limits[:, 1])
+        joint = int(beyond.argmax())
+        if beyond[joint] > _SLACK:
+            outside.append(_Found(q, joint, float(beyond[joint])))
+            continue
+        regularity = arm.regularity(q)
+        if regularity >= REGULAR:
+            return np.clip(q, arm.limits[:, 0], arm.limits[:, 1])
+        singular.append((regularity, q))
+    if singular:
+        regularity, q = max(singular, key=lambda one: one[0])
+        why = (
+            f"near a singularity, {_singularity(arm, q)}: "
+            f"regularity {regularity:.2g}, expected {REGULAR} at least"
+        )
+    elif outside:
+        least = min(outside, key=lambda one: one.beyond)
+        angle, beyond = np.rad2deg([least.q[least.joint], least.beyond])
+        low, high = np.rad2deg(arm.limits[least.joint])
+        why = (
+            f"joint limit: joint {least.joint + 1} would stand at {angle:.2f} degrees, "
+            f"{beyond:.2f} beyond its range of {low:g} to {high:g}"
+        )
+    else:
+        why = _out_of_reach(arm, T, nearest)
+    raise ReachError(f"{arm.name}: {why}")
+
+
+def _postures(arm: SixAxisArm, T: np.ndarray) -> Iterator[np.ndarray]:
+    """Up to eight joint angles at or near the pose, by the drawing; the nearest when it is out of reach."""
+    data, chain, senses = arm.data, arm.chain, arm.data.senses
+    fore, bend = math.hypot(*arm.fore), math.atan2(*arm.fore)
+    for first, out, up in _shoulders(arm, T):
+        cosine = (out**2 + up**2 - data.upper_arm**2 - fore**2) / (2.0 * data.upper_arm * fore)
+        inner = math.acos(min(1.0, max(-1.0, cosine)))
+        for elbow in (inner, -inner) if inner > 0.0 else (0.0,):
+            second = math.atan2(out, up) - math.atan2(
+                fore * math.sin(elbow), data.upper_arm + fore * math.cos(elbow)
+            )
+            q = senses * (first, second, elbow - bend, 0.0, 0.0, 0.0)
+            chain.pin.forwardKinematics(chain.model, chain.data, q)
+            W = chain.data.oMi[3].rotation.T @ T[:3, :3]
+            side = math.hypot(W[0, 2], W[1, 2])
+            if side < _REACHED:  # axes 4 and 6 in line: only their sum is told
+                fifth = 0.0 if W[2, 2] > 0 else math.pi
+                yield np.concatenate([q[:3], senses[3:] * (0.0, fifth, math.atan2(W[1, 0], W[1, 1]))])
+                continue
+            for turn in (1.0, -1.0):
+                fourth = math.atan2(turn * W[1, 2], turn * W[0, 2])
+                fifth = math.atan2(turn * side, W[2, 2])
+                sixth = math.atan2(turn * W[2, 1], -turn * W[2, 0])
+                yield np.concatenate([q[:3], senses[3:] * (fourth, fifth, sixth)])
+
+
+def _shoulders(arm: SixAxisArm, T: np.ndarray) -> Iterator[tuple[float, float, float]]:
+    """Both turns of axis 1 towards the wrist, each with how far forward and up it then is from axis 2."""
+    x, y, z = T[:3, 3]
+    away, toward = math.hypot(x, y), math.atan2(y, x)
+    up = z - arm.data.base_height
+    yield toward, away - arm.data.shoulder_offset, up
+    yield toward + math.pi, -away - arm.data.shoulder_offset, up
+
+
+def _descend(arm: SixAxisArm, T: np.ndarray, q: np.ndarray) -> tuple[np.ndarray, float]:
+    """Joint angles nearer to the pose, and what is left: mm over the arm's reach and rad together.
+
+    The damping is the distance squared (Levenberg and Marquardt with an early quadratic end).
+    """
+    log = arm.chain.pin.log3
+    scale = np.repeat([1.0 / arm.reach_mm, 1.0], 3)
+    best, least = q, math.inf
+    for _ in range(_STEPS):
+        here, J = arm.pose_and_jacobian(q)
+        missing = np.concatenate([T[:3, 3] - here[:3, 3], log(T[:3, :3] @ here[:3, :3].T)]) * scale
+        rest = math.sqrt(missing @ missing)
+        if rest < least:
+            best, least = q, rest
+        if rest <= _REACHED:
+            break
+        J = J * scale[:, None]
+        q = q + np.linalg.solve(J.T @ J + rest**2 * np.eye(6), J.T @ missing)
+    return best, least
+
+
+def _unwound(arm: SixAxisArm, q: np.ndarray, start: np.ndarray, slack: float = _SLACK) -> np.ndarray:
+    """The same posture with every joint as near to the start as whole turns within its limits bring it."""
+    turned = q + _TURN * np.round((start - q) / _TURN)
+    low, high = arm.limits.T
+    turned += _TURN * np.ceil(np.maximum(low - slack - turned, 0.0) / _TURN)
+    return turned - _TURN * np.ceil(np.maximum(turned - high - slack, 0.0) / _TURN)
+
+
+def _singularity(arm: SixAxisArm, q: np.ndarray) -> str:
+    """Which of the arm's three singularities is the nearest."""
+    fore, bend = math.hypot(*arm.fore), math.atan2(*arm.fore)
+    second, elbow, fifth = arm.data.senses[[1, 2, 4]] * q[[1, 2, 4]] + (0.0, bend, 0.0)
+    out = arm.data.shoulder_offset + arm.data.upper_arm * math.sin(second) + fore * math.sin(second + elbow)
+    near = {
+        "axes 4 and 6 nearly in line": abs(math.sin(fifth)),
+        "arm nearly stretched or folded": abs(math.sin(elbow)),
+        "wrist nearly on axis 1": abs(out) / arm.reach_mm,
+    }
+    return min(near, key=near.get)
+
+
+def _out_of_reach(arm: SixAxisArm, T: np.ndarray, rest: float) -> str:
+    """By how much a pose that no posture comes to is too far or too close."""
+    fore = math.hypot(*arm.fore)
+    longest, shortest = arm.data.upper_arm + fore, abs(arm.data.upper_arm - fore)
+    spans = [math.hypot(out, up) for _, out, up in _shoulders(arm, T)]
+    if min(spans) > longest:
+        return (
+            f"outside reach by {min(spans) - longest:.3f} mm: "
+            f"wrist {min(spans):.3f} mm from axis 2, at most {longest:.3f}"
+        )
+    if max(spans) < shortest:
+        return (
+            f"inside of its reach by {shortest - max(spans):.3f} mm: "
+            f"wrist {max(spans):.3f} mm from axis 2, at least {shortest:.3f}"
+        )
+    return f"outside reach as built: the nearest solution stays {rest * arm.reach_mm:.3g} mm away"
