@@ -54,7 +54,7 @@ def inverse(arm: SixAxisArm, T_rob_ee: ArrayLike, start: np.ndarray) -> np.ndarr
         if rest > _REACHED:
             continue
         q = _unwound(arm, q, start)
-        beyond = np.maximum(arm.limits[:, 0] - q, q - arm.limits[:, 1])
+        beyond = _beyond(arm, q)
         joint = int(beyond.argmax())
         if beyond[joint] > _SLACK:
             outside.append(_Found(q, joint, float(beyond[joint])))
@@ -140,10 +140,17 @@ def _descend(arm: SixAxisArm, T: np.ndarray, q: np.ndarray) -> tuple[np.ndarray,
 
 def _unwound(arm: SixAxisArm, q: np.ndarray, start: np.ndarray, slack: float = _SLACK) -> np.ndarray:
     """The same posture with every joint as near to the start as whole turns within its limits bring it."""
-    turned = q + _TURN * np.round((start - q) / _TURN)
     low, high = arm.limits.T
-    turned += _TURN * np.ceil(np.maximum(low - slack - turned, 0.0) / _TURN)
-    return turned - _TURN * np.ceil(np.maximum(turned - high - slack, 0.0) / _TURN)
+    near = q + _TURN * np.round((start - q) / _TURN)
+    turned = near + _TURN * np.ceil(np.maximum(low - slack - near, 0.0) / _TURN)
+    turned -= _TURN * np.ceil(np.maximum(turned - high - slack, 0.0) / _TURN)
+    # a range of less than a turn may hold neither: then the one that is less beyond
+    return np.where(_beyond(arm, turned) < _beyond(arm, near), turned, near)
+
+
+def _beyond(arm: SixAxisArm, q: np.ndarray) -> np.ndarray:
+    """(6,) rad past the joints' limits, negative within them."""
+    return np.maximum(arm.limits[:, 0] - q, q - arm.limits[:, 1])
 
 
 def _singularity(arm: SixAxisArm, q: np.ndarray) -> str:
@@ -160,18 +167,12 @@ def _singularity(arm: SixAxisArm, q: np.ndarray) -> str:
 
 
 def _out_of_reach(arm: SixAxisArm, T: np.ndarray, rest: float) -> str:
-    """By how much a pose that no posture comes to is too far or too close."""
-    fore = math.hypot(*arm.fore)
-    longest, shortest = arm.data.upper_arm + fore, abs(arm.data.upper_arm - fore)
-    spans = [math.hypot(out, up) for _, out, up in _shoulders(arm, T)]
-    if min(spans) > longest:
+    """By how much a pose that no posture comes to is too far."""
+    longest = arm.data.upper_arm + math.hypot(*arm.fore)
+    span = min(math.hypot(out, up) for _, out, up in _shoulders(arm, T))
+    if span > longest:
         return (
-            f"outside reach by {min(spans) - longest:.3f} mm: "
-            f"wrist {min(spans):.3f} mm from axis 2, at most {longest:.3f}"
-        )
-    if max(spans) < shortest:
-        return (
-            f"inside of its reach by {shortest - max(spans):.3f} mm: "
-            f"wrist {max(spans):.3f} mm from axis 2, at least {shortest:.3f}"
+            f"outside reach by {span - longest:.3f} mm: "
+            f"wrist {span:.3f} mm from axis 2, at most {longest:.3f}"
         )
     return f"outside reach as built: the nearest solution stays {rest * arm.reach_mm:.3g} mm away"
