@@ -56,7 +56,9 @@ class SafetySettings:
     outlying_samples : int
         As many samples in a row that the fusion's gate refuses.
     patient_jump_mm : float
-        Of the patient's marker from its filtered place between two samples, while the tip is in the bone.
+        Of the patient's marker from its filtered place between two samples, while the tip is in the bone; at
+        least ``patient_jump_stds`` times the measured noise.
+    patient_jump_stds : float
     off_line_mm : float
         Estimated distance of the tip from its line, while it is in the bone.
 
@@ -70,6 +72,7 @@ class SafetySettings:
     missing_samples: int = 1
     outlying_samples: int = 3
     patient_jump_mm: float = 1.0
+    patient_jump_stds: float = 8.0
     off_line_mm: float = 1.0
 
     def __post_init__(self) -> None:
@@ -77,7 +80,7 @@ class SafetySettings:
             value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
                 raise InputError(f"{name}: expected a whole number of at least {least}, got {value!r}")
-        for name in ("patient_jump_mm", "off_line_mm"):
+        for name in ("patient_jump_mm", "patient_jump_stds", "off_line_mm"):
             value = getattr(self, name)
             if not value > 0:
-                raise InputError(f"{name}: expected more than 0 mm, got {value!r}")
+                raise InputError(f"{name}: expected more than 0, got {value!r}")

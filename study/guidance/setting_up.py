@@ -97,7 +97,8 @@ def calibrated_drill(
     ----------
     system, scene, tracker
     press : (3,) array
-        Unit vector in the robot's frame along which ``calibration_force_n`` bends the bit.
+        Unit vector in the robot's frame along which ``calibration_force_n`` bends the pivoted drill; how a
+        pointer presses on a calibration bit is drawn.
     rng : numpy.random.Generator
     """
     axis = np.array([0.0, 0.0, -1.0])
@@ -105,6 +106,9 @@ def calibrated_drill(
     R_rob_tcp = facing_orientation(axis, scene.camera - place, scene.T_tool_tcp)
     T_rob_tool = rigid(R_rob_tcp, place) @ inverse(scene.T_tool_tcp)
     R_tool_rob = T_rob_tool[:3, :3].T
+    if system.calibration == "bits":
+        around = rng.uniform(0.0, 2.0 * np.pi)
+        press = np.array([np.cos(around), np.sin(around), 0.0])
     bent = R_tool_rob @ press * system.calibration_force_n / system.bit_stiffness_n_mm
     true_axis, true_tip = scene.T_tool_tcp[:3, 2], scene.T_tool_tcp[:3, 3]
     T_cam_tool = scene.T_cam_rob @ T_rob_tool

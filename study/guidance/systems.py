@@ -12,12 +12,13 @@ from functools import cache
 
 import numpy as np
 import pandas as pd
+from scipy import stats
 
 from study.errors import FileFormatError, InputError
 from study.paths import data_path
 
 SYSTEMS = ("hannover", "vanderbilt")
-_COLUMNS = ["cause", "unit", *SYSTEMS, "low", "high", "source"]
+_COLUMNS = ["cause", "unit", *SYSTEMS, "low", "high", "known", "source"]
 #: Causes that count something.
 _WHOLE = ("touches", "touch_frames", "pivot_poses")
 #: Causes that divide something: they cannot be 0.
@@ -131,6 +132,28 @@ class GuidedSystem:
             raise InputError(f"{', '.join(sorted(unknown))}: expected some of {', '.join(cause_names())}")
         return replace(self, **changes)
 
+    def drawn(self, rng: object = None) -> GuidedSystem:
+        """The same system with every cause that is not known drawn from its plausible range.
+
+        Triangular between ``low`` and ``high``, with this system's value as the likeliest: what the ranges
+        allow is what an experiment whose causes nobody wrote down can be compared with.
+
+        Parameters
+        ----------
+        rng : anything `numpy.random.default_rng` takes
+        """
+        rng = np.random.default_rng(rng)
+        table = _causes()
+        unknown = table.index[table["known"] == "no"]
+        shares = rng.uniform(size=len(unknown))
+        drawn = {}
+        for cause, share in zip(unknown, shares, strict=True):
+            low, high, mode = *table.loc[cause, ["low", "high"]], getattr(self, cause)
+            if low < high:
+                place = (np.clip(mode, low, high) - low) / (high - low)
+                drawn[cause] = float(stats.triang.ppf(share, place, low, high - low))
+        return self.but(**drawn)
+
     @property
     def tracker_jitter_xyz_mm(self) -> tuple[float, float, float]:
         """Jitter of a sphere along the camera's axes; z is the line of sight."""
@@ -161,7 +184,8 @@ def causes() -> pd.DataFrame:
     Returns
     -------
     pandas.DataFrame
-        Indexed by cause; columns ``unit``, ``hannover``, ``vanderbilt``, ``low``, ``high``, ``source``.
+        Indexed by cause; columns ``unit``, ``hannover``, ``vanderbilt``, ``low``, ``high``, ``known``
+        (``"yes"`` where it is printed or chosen by who runs the experiment) and ``source``.
     """
     return _causes().copy()
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import exp, floor, sqrt
+from math import exp, floor, inf, sqrt
 
 from study._compiled import inner, threaded
 from study.guidance._kernels import (
@@ -178,8 +178,8 @@ def _operate(s, inputs, step, dt, across):
     """Advance the drill along its line as the operator asks, who waits while it is off the line."""
     phase = s.counts[3]
     if phase == _ALIGN:
-        s.counts[4] = s.counts[4] + 1 if across < inputs.wait_mm else 0
-        if s.counts[4] * dt >= inputs.settle_s:
+        s.counts[4] += 1
+        if s.counts[4] * dt >= inputs.settle_s and across < inputs.wait_mm:
             s.counts[3] = _INSERT
     elif phase == _INSERT:
         if across < inputs.wait_mm:
@@ -273,16 +273,18 @@ def run(s, inputs, w, first, ticks, out):
                 if not s.flags[0]:
                     _begin(s, inputs, w)
             if s.flags[0]:
+                # On its way to the line the arm is fast, and the encoders' delay looks like an error.
+                gate = inf if s.counts[3] == _ALIGN else inputs.gate
                 nis = fuse_position(
                     s.x, s.cov, dt, inputs.process[0], inputs.measurement[0], inputs.measurement[1, 0],
-                    w.p1, s.reported[:3], fresh, inputs.gate, w.fusing,
+                    w.p1, s.reported[:3], fresh, gate, w.fusing,
                 )  # fmt: skip
                 turned = fuse_orientation(
                     s.turns, s.spin, s.cov_turn, dt, inputs.process[1], inputs.measurement[2],
-                    inputs.measurement[3, 0], w.q1, s.reported[3:], fresh, inputs.gate, w.fusing,
+                    inputs.measurement[3, 0], w.q1, s.reported[3:], fresh, gate, w.fusing,
                 )  # fmt: skip
                 if fresh:
-                    bad = nis > inputs.gate or turned > inputs.gate
+                    bad = nis > gate or turned > gate
                     s.counts[5] = s.counts[5] + 1 if bad else 0
                     if s.counts[5] >= inputs.most_outliers and s.status[0] == RUNNING:
                         s.status[0] = OUTLIERS
