@@ -17,10 +17,13 @@ from study.registration.sources import checked_vector
 
 # Points a voxel and axis over which the image is averaged when rendered.
 _FINE = 3
-# Standard deviations of blur that a sphere's image reaches beyond its surface.
-_TAIL = 3.0
-# Of the centroid's window towards the centroid; it moves by less than 1e-3 voxel in the last.
+# Standard deviations of blur by which the centroid's window reaches beyond the surface: more of them let in
+# more noise, less cut off brightness.
+_TAIL = 1.5
+# Of the centroid's window towards the centroid; three are enough in practice.
 _WINDOWS = 5
+# Share of the balls' volume that is surely of full brightness also where their radius is not as told.
+_BRIGHT = 0.1
 #: Largest relative difference between the radius of a bright region and that of the spheres.
 RADIUS_TOLERANCE = 0.25
 
@@ -187,7 +190,7 @@ def detect_spheres(
         Of the scanner; sets how far beyond the surface the window reaches.
     threshold : float, optional
         By default half way between the surrounding (median) and the level that as many voxels exceed as
-        half of the balls' volume fills.
+        a tenth of the balls' volume fills.
 
     Returns
     -------
@@ -209,7 +212,7 @@ def detect_spheres(
         raise InputError(f"count: expected a positive whole number of balls, got {count!r}")
     background = float(np.median(image))
     if threshold is None:
-        filled = 0.5 * count * 4.0 / 3.0 * np.pi * radius**3 / voxel.prod()
+        filled = _BRIGHT * count * 4.0 / 3.0 * np.pi * radius**3 / voxel.prod()
         rank = max(0, image.size - 1 - int(filled))
         threshold = 0.5 * (background + float(np.partition(image, rank, axis=None)[rank]))
     labels, found = ndimage.label(image > threshold, structure=np.ones((3, 3, 3)))
@@ -289,7 +292,7 @@ def localisation_error(
         raise InputError(f"n: expected a positive whole number of balls, got {n!r}")
     rng = np.random.default_rng(rng)
     voxel = _voxel(voxel_mm)
-    half = np.ceil((_number("radius_mm", radius_mm, above=True) + (_TAIL + 2) * blur_mm) / voxel) + 3
+    half = np.ceil((_number("radius_mm", radius_mm, above=True) + 5.0 * blur_mm) / voxel) + 3
     shape = tuple((2 * half + 1).astype(int).tolist())
     off = np.empty((n, 3))
     for row in range(n):
