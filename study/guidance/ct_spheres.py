@@ -24,7 +24,7 @@ _TAIL = 1.5
 _WINDOWS = 5
 # Share of the balls' volume that is surely of full brightness also where their radius is not as told.
 _BRIGHT = 0.1
-#: Largest relative difference between the radius of a bright region and that of the spheres.
+#: Largest relative difference between a bright region's radius, or half an axis, and the spheres' radius.
 RADIUS_TOLERANCE = 0.25
 
 
@@ -173,8 +173,8 @@ def detect_spheres(
 ) -> np.ndarray:
     """Centres of bright balls of known size in an image.
 
-    Regions brighter than a threshold whose volume is that of a ball of the radius, then the centroid of the
-    brightness over the surrounding in a window about each. Balls must be apart by more than their blur.
+    Regions brighter than a threshold, round and of the volume of a ball of the radius, then the centroid of
+    the brightness over the surrounding in a window about each. Balls must be apart by more than their blur.
 
     Parameters
     ----------
@@ -224,13 +224,18 @@ def detect_spheres(
         size = np.cbrt(0.75 * volume / np.pi)
         corner = np.array([part.start for part in region])
         middle = origin + voxel * (corner + np.array(ndimage.center_of_mass(inside)))
-        if abs(size / radius - 1.0) > RADIUS_TOLERANCE:
-            if size > 0.25 * radius:  # single bright voxels are noise
-                refused.append(f"radius {size:.2f} mm at {middle.round(1).tolist()}")
-        elif (middle - reach < origin - voxel / 2).any() or (
-            middle + reach > origin + voxel * (np.array(image.shape) - 0.5)
-        ).any():
-            refused.append(f"cut by the image's edge at {middle.round(1).tolist()}")
+        if size < 0.25 * radius:
+            continue  # a few bright voxels are noise
+        cut = (middle - reach < origin - 0.5 * voxel).any()
+        cut = cut or (middle + reach > origin + voxel * (np.array(image.shape) - 0.5)).any()
+        axes = _half_axes(inside, voxel)
+        where = f"at {middle.round(1).tolist()}"
+        if cut:
+            refused.append(f"cut by the image's edge {where}")
+        elif abs(size / radius - 1.0) > RADIUS_TOLERANCE:
+            refused.append(f"radius {size:.2f} mm {where}")
+        elif abs(axes / radius - 1.0).max() > RADIUS_TOLERANCE:
+            refused.append(f"not round, half axes {axes.round(2).tolist()} mm {where}")
         else:
             centres.append(_centroid(image - background, middle - origin, reach, voxel) + origin)
     if len(centres) != count:
@@ -241,6 +246,13 @@ def detect_spheres(
             f"{' (also ' + '; '.join(refused[:5]) + ')' if refused else ''}, of {found} bright regions"
         )
     return np.array(centres).reshape(-1, 3)
+
+
+def _half_axes(inside: np.ndarray, voxel: np.ndarray) -> np.ndarray:
+    """(3,) half axes, mm, of the ellipsoid with a region's second moments, ascending."""
+    points = np.argwhere(inside) * voxel
+    spread = np.cov(points, rowvar=False, ddof=0) + np.diag(voxel**2 / 12.0)
+    return np.sqrt(5.0 * np.linalg.eigvalsh(spread))
 
 
 def _centroid(image: np.ndarray, start: np.ndarray, reach: float, voxel: np.ndarray) -> np.ndarray:
