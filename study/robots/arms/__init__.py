@@ -2,6 +2,7 @@
 
 from study.robots.arms.arm import SixAxisArm, arm, differential_gain
 from study.robots.arms.errors import ArmErrors
+from study.robots.arms.inverse import follow
 from study.robots.arms.table import ArmData, arm_data, arm_names, arm_table
 
 __all__ = [
@@ -13,4 +14,5 @@ __all__ = [
     "arm_names",
     "arm_table",
     "differential_gain",
+    "follow",
 ]

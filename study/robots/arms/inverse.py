@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from study.errors import ReachError
-from study.guidance.frames import checked_transform
+from study.guidance.frames import checked_transform, checked_transforms
 
 if TYPE_CHECKING:
     from study.robots.arms.arm import SixAxisArm
@@ -29,6 +29,8 @@ _STEPS = 50
 _SLACK = 1e-9
 #: How far the joints of an arm as built may be from those of its drawing at one pose, rad.
 _NEAR = 0.05
+#: Largest turn of a joint between neighbouring poses of a trajectory, rad.
+_JUMP = 0.5
 _TURN = 2.0 * math.pi
 
 
@@ -80,6 +82,46 @@ def inverse(arm: SixAxisArm, T_rob_ee: ArrayLike, start: np.ndarray) -> np.ndarr
     else:
         why = _out_of_reach(arm, T, nearest)
     raise ReachError(f"{arm.name}: {why}")
+
+
+def follow(arm: SixAxisArm, T_rob_ee: ArrayLike, start: ArrayLike | None = None) -> np.ndarray:
+    """Joint angles along a trajectory, in one posture.
+
+    Parameters
+    ----------
+    arm : SixAxisArm
+    T_rob_ee : (n, 4, 4) array
+        Poses in order, mm; close enough together that no joint turns by more than 0.5 rad from one to the
+        next.
+    start : (6,) array, optional
+        rad; the first pose is taken in the posture nearest to it, `SixAxisArm.ready` when None.
+
+    Returns
+    -------
+    (n, 6) array
+        rad.
+
+    Raises
+    ------
+    ReachError
+        If a pose cannot be taken, or only with a joint that jumps; the message tells which pose.
+    InputError
+        If the poses are not rigid or `start` not six finite numbers.
+    """
+    T = checked_transforms("T_rob_ee", T_rob_ee)
+    angles = np.empty((len(T), 6))
+    for row, pose in enumerate(T):
+        try:
+            angles[row] = arm.inverse(pose, angles[row - 1] if row else start)
+        except ReachError as error:
+            raise ReachError(f"pose {row} of {len(T)}: {error}") from None
+        turns = np.abs(angles[row] - angles[max(row - 1, 0)])
+        if turns.max() > _JUMP:
+            raise ReachError(
+                f"pose {row} of {len(T)}: {arm.name}: joint {turns.argmax() + 1} would jump by "
+                f"{np.rad2deg(turns.max()):.1f} degrees, at most {np.rad2deg(_JUMP):.1f} between poses"
+            )
+    return angles
 
 
 def _postures(arm: SixAxisArm, T: np.ndarray) -> Iterator[np.ndarray]:
