@@ -307,13 +307,13 @@ def test_one_call_costs_little(name):
     def cost(call, times):
         call()
         best = np.inf
-        for _ in range(5):  # processor time, the least of five: others use the machine too
+        for _ in range(10):  # processor time, the least of ten: others use the machine too
             began = time.process_time()
             for _ in range(times):
                 call()
             best = min(best, time.process_time() - began)
         return best / times
 
-    assert cost(lambda: one.forward(q), 500) < 10e-6
-    assert cost(lambda: one.jacobian(q), 500) < 10e-6
+    assert cost(lambda: one.forward(q), 200) < 10e-6
+    assert cost(lambda: one.jacobian(q), 200) < 10e-6
     assert cost(lambda: one.inverse(T), 20) < 2e-3
