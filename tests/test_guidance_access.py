@@ -22,7 +22,9 @@ from study.errors import (
 )
 from study.guidance.access import (
     AccessSettings,
+    AnyRoll,
     DrawnErrors,
+    FittedErrors,
     LineErrors,
     NormalErrors,
     collision_probability,
@@ -36,6 +38,7 @@ from study.guidance.access import (
     rms_across,
     round_window_target,
     surroundings,
+    to_drill_axes,
     to_image_axes,
     transforms,
     warm,
@@ -258,6 +261,36 @@ def test_drawn_errors_come_each_once_before_any_comes_twice():
     drawn = DrawnErrors(errors)
     assert sorted(drawn.sample(10, 0)[:, 0, 0]) == sorted(errors[:, 0, 0])
     assert drawn.sample(25, 0).shape == (25, 2, 3)
+
+
+def test_fitted_errors_have_the_moments_of_what_they_are_fitted_to():
+    rng = np.random.default_rng(8)
+    found = rng.standard_normal((300, 6)) @ rng.normal(0, 0.2, (6, 6)).T + rng.normal(0, 0.3, 6)
+    found[:, 2] = 0.0  # no error along the line where the drill enters
+    model = FittedErrors.of(found.reshape(-1, 2, 3))
+    drawn = model.sample(200_000, 1).reshape(-1, 6)
+    np.testing.assert_allclose(drawn.mean(axis=0), found.mean(axis=0), atol=0.005)
+    np.testing.assert_allclose(np.cov(drawn.T), np.cov(found.T), atol=0.005)
+    for wrong in (-np.eye(6), np.triu(np.ones((6, 6))), np.eye(5)):
+        with pytest.raises(InputError, match="covariance"):
+            FittedErrors(np.zeros((2, 3)), wrong)
+
+
+def test_any_roll_turns_entry_and_target_together():
+    model = NormalErrors(0.0, 0.0, 1.0, [[0.5, 0, 0.1], [0, 0.4, 0.2]])
+    drawn = AnyRoll(model).sample(20_000, 2)
+    np.testing.assert_allclose(np.hypot(drawn[:, 0, 0], drawn[:, 0, 1]), 0.5)
+    np.testing.assert_allclose(
+        drawn[:, 0, 0] * drawn[:, 1, 0] + drawn[:, 0, 1] * drawn[:, 1, 1], 0, atol=1e-12
+    )
+    np.testing.assert_allclose(drawn[:, :, 2], np.broadcast_to([0.1, 0.2], (20_000, 2)))
+    np.testing.assert_allclose(drawn[:, :, :2].mean(axis=0), 0, atol=0.02)
+
+
+def test_image_axes_and_back():
+    errors = np.random.default_rng(0).normal(size=(7, 2, 3))
+    there = to_image_axes(errors, ENTRY, TARGET, 0.3)
+    np.testing.assert_allclose(to_drill_axes(there, ENTRY, TARGET, 0.3), errors, atol=1e-12)
 
 
 # Targets and surroundings

@@ -5,10 +5,12 @@ The method that the paper cites for statistically optimal trajectories (Baron, 4
 
 from study.guidance.access._warm import warm
 from study.guidance.access.accuracy import RequiredAccuracy, required_std, risk_curve, rms_across
-from study.guidance.access.axes import LineErrors, drill_axes, to_image_axes, transforms
+from study.guidance.access.axes import LineErrors, drill_axes, to_drill_axes, to_image_axes, transforms
 from study.guidance.access.collision import CollisionRisks, collision_probability
 from study.guidance.access.models import (
+    AnyRoll,
     DrawnErrors,
+    FittedErrors,
     LineErrorModel,
     NormalErrors,
     printed_absolute,
@@ -28,8 +30,10 @@ __all__ = [
     "ACCEPTABLE_PROBABILITIES",
     "AccessPlan",
     "AccessSettings",
+    "AnyRoll",
     "CollisionRisks",
     "DrawnErrors",
+    "FittedErrors",
     "LineErrorModel",
     "LineErrors",
     "NormalErrors",
@@ -47,6 +51,7 @@ __all__ = [
     "round_window_target",
     "structure_points",
     "surroundings",
+    "to_drill_axes",
     "to_image_axes",
     "transforms",
     "warm",

@@ -95,6 +95,11 @@ def to_image_axes(errors: ArrayLike, entry: ArrayLike, target: ArrayLike, roll: 
     return checked_errors(errors) @ drill_axes(entry, target, roll).T
 
 
+def to_drill_axes(errors: ArrayLike, entry: ArrayLike, target: ArrayLike, roll: float = 0.0) -> np.ndarray:
+    """(n, 2, 3) errors in the axes of the drill of errors in image axes; undoes `to_image_axes`."""
+    return checked_errors(errors) @ drill_axes(entry, target, roll)
+
+
 def transforms(errors: ArrayLike, entry: ArrayLike, target: ArrayLike) -> np.ndarray:
     """Rigid transforms that carry the planned line to the erring ones.
 

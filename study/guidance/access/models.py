@@ -106,6 +106,86 @@ class DrawnErrors:
         return self.errors[rows]
 
 
+@dataclass(frozen=True, eq=False)
+class FittedErrors:
+    """Normal errors with the mean and the whole covariance of errors that were found elsewhere.
+
+    For a few hundred simulated holes whose tail is asked for: what happens once in a thousand is then the
+    normal distribution's word, not the simulation's.
+
+    Parameters
+    ----------
+    mean : (2, 3) array
+        mm, of entry and target, axes of the drill.
+    covariance : (6, 6) array
+        mm^2, those of the entry first; symmetric, without negative eigenvalues.
+
+    Raises
+    ------
+    InputError
+        If it has another shape, or is no covariance.
+    """
+
+    mean: ArrayLike
+    covariance: ArrayLike
+
+    def __post_init__(self) -> None:
+        mean, covariance = np.array(self.mean, dtype=float), np.array(self.covariance, dtype=float)
+        if mean.shape != (2, 3) or not np.isfinite(mean).all():
+            raise InputError(f"mean: expected finite mm of shape (2, 3), got shape {mean.shape}")
+        if covariance.shape != (6, 6) or not np.isfinite(covariance).all():
+            raise InputError(
+                f"covariance: expected finite mm^2 of shape (6, 6), got shape {covariance.shape}"
+            )
+        size = np.abs(covariance).max()
+        if np.abs(covariance - covariance.T).max() > 1e-9 * size:
+            raise InputError("covariance: expected a symmetric matrix")
+        if np.linalg.eigvalsh(covariance).min() < -1e-9 * size:
+            raise InputError("covariance: expected no negative eigenvalue")
+        object.__setattr__(self, "mean", mean)
+        object.__setattr__(self, "covariance", covariance)
+
+    @classmethod
+    def of(cls, errors: ArrayLike) -> FittedErrors:
+        """Fit to (n, 2, 3) errors, axes of the drill, mm; at least two."""
+        errors = checked_errors(errors)
+        if len(errors) < 2:
+            raise InputError(f"errors: expected at least two to fit, got {len(errors)}")
+        return cls(errors.mean(axis=0), np.cov(errors.reshape(len(errors), 6).T))
+
+    def sample(self, n: int, rng: object = None) -> np.ndarray:
+        """(n, 2, 3) mm at entry and target, axes of the drill."""
+        values, vectors = np.linalg.eigh(self.covariance)
+        unit = np.random.default_rng(rng).standard_normal((n, 6))
+        drawn = unit @ (vectors * np.sqrt(np.maximum(values, 0.0))).T
+        return self.mean + drawn.reshape(n, 2, 3)
+
+
+@dataclass(frozen=True, eq=False)
+class AnyRoll:
+    """Errors of a robot of which nobody knows how it stands about the drill.
+
+    A bias of half a millimetre does no harm along the nerve and much across; each draw is turned about the
+    drill by an angle of its own.
+
+    Parameters
+    ----------
+    model : LineErrorModel
+    """
+
+    model: LineErrorModel
+
+    def sample(self, n: int, rng: object = None) -> np.ndarray:
+        """(n, 2, 3) mm at entry and target, axes of the drill."""
+        rng = np.random.default_rng(rng)
+        drawn = checked_errors(self.model.sample(n, rng))
+        roll = rng.uniform(0.0, 2.0 * np.pi, n)[:, None]
+        x, y = drawn[..., 0].copy(), drawn[..., 1].copy()
+        drawn[..., 0] = np.cos(roll) * x - np.sin(roll) * y
+        drawn[..., 1] = np.sin(roll) * x + np.cos(roll) * y
+        return drawn
+
+
 def printed_lateral(system: str, correlation: float = 1.0) -> NormalErrors:
     """Normal errors with the means and standard deviations that Baron's table 1 prints for 24 holes.
 

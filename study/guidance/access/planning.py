@@ -325,5 +325,5 @@ def _blocked(lines: Lines, settings: AccessSettings) -> str:
     return (
         f"no free line through the facial recess for a drill of {settings.drill_diameter:g} mm: "
         f"{len(lines)} pass between the nerves, {'; '.join(parts)}; "
-        f"widest recess {lines.recess_width.max():.2f} mm"
+        f"the freest of them lacks {-_least(lines, settings).max():.2f} mm"
     )
