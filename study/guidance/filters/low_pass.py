@@ -12,9 +12,9 @@ from study.errors import InputError
 def low_pass(values: ArrayLike, sample_s: float = 0.02, corner_hz: float = 3.0, order: int = 1) -> np.ndarray:
     """Low-pass a signal as a controller would: each value from those before, nothing from the future.
 
-    A Butterworth filter by the bilinear transform. The text prints the corner, 3 Hz, and no order: the first
-    is the digital filter of equation 7. A ramp comes out later by ``1 / (2 pi corner)``, 53 ms, with the
-    first order, by the square root of 2 times that with the second.
+    A Butterworth filter by the bilinear transform. The text prints the corner, 3 Hz, and no order; equation 7
+    is of the first, which is therefore the default. A ramp comes out later by ``1 / (2 pi corner)``, 53 ms,
+    with the first order, by the square root of 2 times that with the second.
 
     Parameters
     ----------

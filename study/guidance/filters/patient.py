@@ -56,8 +56,8 @@ class PatientFilterSettings:
         Above 0, at most 1; the printed values, both conventions mapped to this one.
     threshold : float
         The patient moves when a sample is farther from the last filtered pose than this many times the
-        tracker's noise, root mean squared distance or angle. Not printed. At 4 a tracker whose depth is three
-        times as noisy as the rest takes rest for motion about once in a hundred thousand samples.
+        tracker's noise, root mean squared distance or angle. Not printed. At 4 a tracker three times as noisy
+        in depth as across takes rest for motion twice in a hundred thousand samples.
 
     Raises
     ------

@@ -191,18 +191,29 @@ def fuse_orientation(
 
 
 @kernel
-def step_position(x, P, sample_s, process, r_position, r_velocity, z_position, z_velocity, fresh, gate, work):
-    """`fuse_position`, for Python."""
-    return fuse_position(
-        x, P, sample_s, process, r_position, r_velocity, z_position, z_velocity, fresh, gate, work
-    )
+def fuse_positions(
+    x, P, sample_s, process, r_position, r_velocity, z_positions, z_velocities, fresh, gate, work, nis, out
+):
+    """`fuse_position` for each row of a record: writes `nis` (n,) and the newest positions, `out` (n, 3)."""
+    for k in range(len(fresh)):
+        nis[k] = fuse_position(
+            x, P, sample_s, process, r_position, r_velocity, z_positions[k], z_velocities[k], fresh[k],
+            gate, work,
+        )  # fmt: skip
+        for axis in range(3):
+            out[k, axis] = x[axis, 0]
 
 
 @kernel
-def step_orientation(
-    q, w, P, sample_s, process, r_rotation, r_velocity, z_quaternion, z_velocity, fresh, gate, work
-):
-    """`fuse_orientation`, for Python."""
-    return fuse_orientation(
-        q, w, P, sample_s, process, r_rotation, r_velocity, z_quaternion, z_velocity, fresh, gate, work
-    )
+def fuse_orientations(
+    q, w, P, sample_s, process, r_rotation, r_velocity, z_quaternions, z_velocities, fresh, gate, work,
+    nis, out,
+):  # fmt: skip
+    """`fuse_orientation` for each row of a record: writes `nis` (n,) and the newest ones, `out` (n, 4)."""
+    for k in range(len(fresh)):
+        nis[k] = fuse_orientation(
+            q, w, P, sample_s, process, r_rotation, r_velocity, z_quaternions[k], z_velocities[k], fresh[k],
+            gate, work,
+        )  # fmt: skip
+        for part in range(4):
+            out[k, part] = q[0, part]

@@ -24,12 +24,14 @@ class ErrorStateFusion:
         self._constants = _constants(settings)
         self._gate = settings.largest_nis
 
-    def step(self, R: np.ndarray, velocity: np.ndarray, fresh: bool) -> float:
-        """Go on by one step; NIS of 3 degrees of freedom, -1 when not fresh."""
-        return _kernels.step_orientation(
+    def run(self, R: np.ndarray, velocity: np.ndarray, fresh: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Rotations (n, 3, 3) after each step, and NIS (n,) of 3 degrees of freedom, -1 if not fresh."""
+        nis, out = np.empty(len(fresh)), np.empty((len(fresh), 4))
+        _kernels.fuse_orientations(
             self._q, self.velocity, self.covariances, *self._constants,
-            _quaternion(R), velocity, fresh, self._gate, self._work,
+            _quaternion(R), velocity, fresh, self._gate, self._work, nis, out,
         )  # fmt: skip
+        return Rotation.from_quat(out, scalar_first=True).as_matrix(), nis
 
     @property
     def matrix(self) -> np.ndarray:
@@ -53,14 +55,18 @@ class EulerFusion:
         self._constants = _constants(settings)
         self._gate = settings.largest_nis
 
-    def step(self, R: np.ndarray, velocity: np.ndarray, fresh: bool) -> float:
-        """Go on by one step; NIS of 3 degrees of freedom, -1 when not fresh."""
-        # The late pose will be compared with the state that the prediction makes the oldest.
-        angles = angles_near(R, self._x[:, max(self._x.shape[1] - 3, 0)])
-        rates = rates_of_velocity(self._x[:, 0], velocity)
-        return _kernels.step_position(
-            self._x, self.covariances, *self._constants, angles, rates, fresh, self._gate, self._work
-        )
+    def run(self, R: np.ndarray, velocity: np.ndarray, fresh: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Rotations (n, 3, 3) after each step, and NIS (n,) of 3 degrees of freedom, -1 if not fresh."""
+        nis, out = np.empty(len(fresh)), np.empty((len(fresh), 3))
+        for k in range(len(fresh)):
+            # The late pose will be compared with the state that the prediction makes the oldest.
+            angles = angles_near(R[k], self._x[:, max(self._x.shape[1] - 3, 0)])
+            rates = rates_of_velocity(self._x[:, 0], velocity[k])
+            _kernels.fuse_positions(
+                self._x, self.covariances, *self._constants,
+                angles[None], rates[None], fresh[k : k + 1], self._gate, self._work, nis[k:], out[k:],
+            )  # fmt: skip
+        return Rotation.from_euler(SEQUENCE, out).as_matrix(), nis
 
     @property
     def matrix(self) -> np.ndarray:
