@@ -21,8 +21,7 @@ def poses(n: int, seed: int = 0) -> np.ndarray:
     """Markers in the measuring volume, turned to the camera within some 30 degrees."""
     rng = np.random.default_rng(seed)
     places = rng.uniform([-400, -300, 1400], [400, 300, 2200], (n, 3))
-    facing = np.array([facing_pose(place) for place in places]).reshape(n, 4, 4)
-    return facing @ rigid(Rotation.from_rotvec(rng.normal(size=(n, 3)) * 0.3))
+    return facing_pose(places) @ rigid(Rotation.from_rotvec(rng.normal(size=(n, 3)) * 0.3))
 
 
 def test_a_plate_can_be_told_from_itself_turned():
@@ -129,6 +128,16 @@ def test_many_poses_take_little_time():
     assert best < 0.03, f"distorted and pose_covariance of 300 poses took {best * 1e3:.1f} ms"
 
 
+def test_facing_poses_face():
+    places = np.array([[300.0, -200.0, 1800.0], [2000.0, 0.0, 100.0], [0.0, 0.0, 900.0]])
+    many = facing_pose(places)
+    for place, pose in zip(places, many, strict=True):
+        assert np.array_equal(facing_pose(place), pose)
+        assert np.allclose(pose @ [0, 0, np.linalg.norm(place), 1], [0, 0, 0, 1])
+        assert np.allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3)) and np.linalg.det(pose[:3, :3]) > 0
+    assert facing_pose([0, 0, 100.0], [0, 0, 300.0])[:3, 2].tolist() == [0, 0, 1]
+
+
 def test_view_angles():
     pose = facing_pose([300.0, -200.0, 1800.0])
     turned = pose @ rigid(Rotation.from_rotvec([0.4, 0, 0]))
@@ -150,7 +159,10 @@ def test_view_angles():
         (lambda: Tracker(rng=0).measured(BODY, 2 * np.eye(4)[None]), "rotation"),
         (lambda: Tracker(rng=0).distorted(BODY, np.full((1, 4, 4), np.nan)), "finite"),
         (lambda: Tracker(rng=0).distortion([[0, 0, np.inf]]), "finite"),
-        (lambda: facing_pose([0, 0, 0]), "position"),
+        (lambda: facing_pose([0, 0, 0]), "apart from"),
+        (lambda: facing_pose([0, np.nan, 0]), "finite"),
+        (lambda: facing_pose([0, 0]), "shape"),
+        (lambda: view_angles(np.eye(4)[None]), "origin"),
     ],
 )
 def test_bad_input_is_named(make, word):

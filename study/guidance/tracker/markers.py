@@ -124,22 +124,36 @@ def view_angles(T_cam_body: ArrayLike) -> np.ndarray:
 
 
 def facing_pose(position: ArrayLike, towards: ArrayLike = (0.0, 0.0, 0.0)) -> np.ndarray:
-    """(4, 4) pose at a position (3,) in mm whose z axis points at the camera, or at another point.
+    """Poses at positions whose z axis points at the camera, or at another point.
 
-    Its x axis is the one nearest to the camera's.
+    Their x axis is as near to the camera's x axis as it can be; to its y axis where z is within some 25
+    degrees of x.
+
+    Parameters
+    ----------
+    position : (3,) or (n, 3) array
+        mm, camera frame.
+    towards : (3,) or (n, 3) array
+        mm; the camera by default.
+
+    Returns
+    -------
+    (4, 4) or (n, 4, 4) array
 
     Raises
     ------
     InputError
-        If both places are the same, or a number is not finite.
+        If two places are the same, or a number is not finite.
     """
     place, goal = np.asarray(position, dtype=float), np.asarray(towards, dtype=float)
+    if place.shape[-1:] != (3,) or place.ndim > 2:
+        raise InputError(f"position: expected shape (3,) or (n, 3) in mm, got {place.shape}")
     z = goal - place
-    length = np.linalg.norm(z)
-    if place.shape != (3,) or not np.isfinite(length) or length == 0:
-        raise InputError(f"position: expected three finite numbers, apart from {towards}, got {position}")
+    length = np.linalg.norm(z, axis=-1, keepdims=True)
+    if not (np.isfinite(length) & (length > 0)).all():
+        raise InputError(f"position: expected finite numbers, apart from {towards}, got {position}")
     z = z / length
-    help_axis = np.array([1.0, 0.0, 0.0]) if abs(z[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
-    x = help_axis - (help_axis @ z) * z
-    x /= np.linalg.norm(x)
-    return rigid(np.column_stack([x, np.cross(z, x), z]), place)
+    near = np.where(np.abs(z[..., :1]) < 0.9, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0])
+    x = near - (near * z).sum(axis=-1, keepdims=True) * z
+    x /= np.linalg.norm(x, axis=-1, keepdims=True)
+    return rigid(np.stack([x, np.cross(z, x), z], axis=-1), place)

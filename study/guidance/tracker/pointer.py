@@ -82,8 +82,7 @@ def touch(
     seated = points + rng.standard_normal(points.shape) * seating_std_mm
     away = rng.standard_normal(points.shape)
     away *= tilt_rad * rng.uniform(size=(len(points), 1)) / np.linalg.norm(away, axis=1, keepdims=True)
-    facing = np.array([facing_pose(place)[:3, :3] for place in points])
-    R = facing @ Rotation.from_rotvec(away).as_matrix()
+    R = facing_pose(points)[:, :3, :3] @ Rotation.from_rotvec(away).as_matrix()
     held = rigid(R, seated - R @ tip)
     seen = tracker.measured(pointer, held, rng, samples)
     where = np.broadcast_to(refs, (len(points), 4, 4))
