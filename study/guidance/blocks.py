@@ -36,7 +36,7 @@ def aluminium_block() -> Phantom:
         "aluminium block",
         spheres,
         entries,
-        entries + [0.0, 0.0, 35.0],
+        entries + np.array([0.0, 0.0, 35.0]),
         rigid(_DOWN, [450.0, 0.0, 180.0]),
         2.0,
     )
@@ -147,7 +147,7 @@ def absolute_experiment(
     AbsoluteResult
     """
     rng = np.random.default_rng(rng)
-    phantom = phantom or acrylic_block(rng)
+    phantom = phantom or acrylic_block()
     ready = set_up(system, phantom, rng, imaged=True)
     holes = drill_holes(ready, rng, settings)
     found = phantom.spheres + system.image_fle_mm * rng.standard_normal(phantom.spheres.shape)

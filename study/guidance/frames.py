@@ -28,48 +28,23 @@ from scipy.spatial.transform import Rotation
 
 from study.errors import InputError
 from study.registration.sources import checked_vector
+from study.transforms import RIGID, checked_transform, checked_transforms, inverse, moved, rigid
 
-#: How far from rigid a transform, or from 1 a quaternion's length, may be: what six printed digits leave.
-RIGID = 1e-5
-
-
-def checked_transform(name: str, transform: ArrayLike) -> np.ndarray:
-    """(4, 4) rigid transform.
-
-    Raises
-    ------
-    InputError
-        If it is not (4, 4), not finite, mirrors, scales or shears.
-    """
-    T = np.array(transform, dtype=float)
-    if T.shape != (4, 4):
-        raise InputError(f"{name}: expected a (4, 4) transform, got shape {T.shape}")
-    if not np.isfinite(T).all():
-        raise InputError(f"{name}: expected finite numbers, got {T.tolist()}")
-    R = T[:3, :3]
-    wrong = np.abs(R @ R.T - np.eye(3)).max()
-    if wrong > RIGID or np.linalg.det(R) < 0 or not np.array_equal(T[3], [0, 0, 0, 1]):
-        raise InputError(
-            f"{name}: expected a rotation and a translation; R R^T is {wrong:.3g} off the unit matrix, "
-            f"its determinant is {np.linalg.det(R):.3g} and the last row {T[3].tolist()}"
-        )
-    return T
-
-
-def checked_transforms(name: str, transforms: ArrayLike) -> np.ndarray:
-    """(n, 4, 4) rigid transforms.
-
-    Raises
-    ------
-    InputError
-        If the shape is another or one of them is not rigid.
-    """
-    T = np.array(transforms, dtype=float)
-    if T.ndim != 3 or T.shape[1:] != (4, 4):
-        raise InputError(f"{name}: expected (n, 4, 4) transforms, got shape {T.shape}")
-    for row, one in enumerate(T):
-        checked_transform(f"{name}[{row}]", one)
-    return T
+__all__ = [
+    "FrameGraph",
+    "actual_tcp",
+    "checked_quaternion",
+    "checked_transform",
+    "checked_transforms",
+    "desired_tcp",
+    "difference",
+    "from_pose",
+    "inverse",
+    "moved",
+    "pose_of",
+    "quaternions",
+    "rigid",
+]
 
 
 def checked_quaternion(name: str, quaternion: ArrayLike) -> np.ndarray:
@@ -89,33 +64,6 @@ def checked_quaternion(name: str, quaternion: ArrayLike) -> np.ndarray:
             f"{name}: expected a unit quaternion q0, qx, qy, qz, got length {length:.6g}: {q.tolist()}"
         )
     return q / (length if q[0] >= 0 else -length)
-
-
-def rigid(
-    rotation: Rotation | ArrayLike | None = None, translation: ArrayLike = (0.0, 0.0, 0.0)
-) -> np.ndarray:
-    """(..., 4, 4) transform of a rotation (scipy's, or (..., 3, 3) matrices) and a translation in mm."""
-    if rotation is None:
-        R = np.eye(3)
-    else:
-        R = rotation.as_matrix() if isinstance(rotation, Rotation) else np.asarray(rotation, dtype=float)
-    t = np.asarray(translation, dtype=float)
-    T = np.zeros((*np.broadcast_shapes(R.shape[:-2], t.shape[:-1]), 4, 4))
-    T[..., :3, :3] = R
-    T[..., :3, 3] = t
-    T[..., 3, 3] = 1.0
-    return T
-
-
-def inverse(transform: np.ndarray) -> np.ndarray:
-    """(..., 4, 4) inverses of rigid transforms."""
-    R = np.swapaxes(transform[..., :3, :3], -1, -2)
-    return rigid(R, -np.einsum("...ij,...j->...i", R, transform[..., :3, 3]))
-
-
-def moved(transform: np.ndarray, points: ArrayLike) -> np.ndarray:
-    """(n, 3) points, or one of shape (3,), in the frame that a transform leads to (equation 2)."""
-    return np.asarray(points, dtype=float) @ transform[:3, :3].T + transform[:3, 3]
 
 
 def from_pose(position: ArrayLike, quaternion: ArrayLike) -> np.ndarray:

@@ -11,6 +11,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
 
 from study.errors import InputError
 from study.guidance.frames import checked_transform, inverse, moved, rigid
@@ -133,8 +134,12 @@ class Scene:
         Where the tip is while it is calibrated, in the robot's frame, mm.
     marker_size_mm, tip_lever_mm : float
         See `study.guidance.systems.GuidedSystem`.
-    mount_mm : float
-        From the end effector's origin to the tip, along the last joint's axis.
+    flange_mm, mount_mm : float
+        From the end effector's origin, the wrist's centre, along the last axis to the drill's mount, and from
+        there along the drill to its tip.
+    mount_tilt_deg : float
+        Between the last axis and the drill. Ours: chosen so that both arms drill downwards with a bent wrist,
+        far from singular poses.
     """
 
     camera: ArrayLike = (450.0, -1900.0, 900.0)
@@ -144,7 +149,9 @@ class Scene:
     calibration_place: ArrayLike = (400.0, -150.0, 250.0)
     marker_size_mm: float = 80.0
     tip_lever_mm: float = 180.0
-    mount_mm: float = 200.0
+    flange_mm: float = 90.0
+    mount_mm: float = 120.0
+    mount_tilt_deg: float = 60.0
 
     def __post_init__(self) -> None:
         for name in ("camera", "looks_at", "patient_marker", "base_marker", "calibration_place"):
@@ -189,5 +196,6 @@ class Scene:
 
     @cached_property
     def T_ee_tcp(self) -> np.ndarray:
-        """The drill on the end effector, along its last axis, turned so that the marker faces off the arm."""
-        return rigid(translation=[0.0, 0.0, self.mount_mm])
+        """The drill on the end effector."""
+        tilt = Rotation.from_euler("y", -self.mount_tilt_deg, degrees=True)
+        return rigid(tilt, np.array([0.0, 0.0, self.flange_mm]) + tilt.apply([0.0, 0.0, self.mount_mm]))

@@ -135,8 +135,9 @@ class GuidedSystem:
     def drawn(self, rng: object = None) -> GuidedSystem:
         """The same system with every cause that is not known drawn from its plausible range.
 
-        Triangular between ``low`` and ``high``, with this system's value as the likeliest: what the ranges
-        allow is what an experiment whose causes nobody wrote down can be compared with.
+        Triangular between ``low`` and ``high``, with this system's value as the likeliest, in the logarithm,
+        since these are sizes of errors of which the order is what is known; as they are where ``low`` is 0.
+        What the ranges allow is what an experiment whose causes nobody wrote down can be compared with.
 
         Parameters
         ----------
@@ -148,10 +149,14 @@ class GuidedSystem:
         shares = rng.uniform(size=len(unknown))
         drawn = {}
         for cause, share in zip(unknown, shares, strict=True):
-            low, high, mode = *table.loc[cause, ["low", "high"]], getattr(self, cause)
-            if low < high:
-                place = (np.clip(mode, low, high) - low) / (high - low)
-                drawn[cause] = float(stats.triang.ppf(share, place, low, high - low))
+            low, high = table.loc[cause, ["low", "high"]]
+            mode = np.clip(getattr(self, cause), low, high)
+            ends = np.array([low, mode, high], dtype=float)
+            if low > 0:
+                ends = np.log(ends)
+            place = (ends[1] - ends[0]) / (ends[2] - ends[0])
+            value = float(stats.triang.ppf(share, place, ends[0], ends[2] - ends[0]))
+            drawn[cause] = float(np.exp(value)) if low > 0 else value
         return self.but(**drawn)
 
     @property

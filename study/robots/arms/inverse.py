@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from study.errors import ReachError
-from study.guidance.frames import checked_transform, checked_transforms
+from study.transforms import checked_transform, checked_transforms
 
 if TYPE_CHECKING:
     from study.robots.arms.arm import SixAxisArm
