@@ -161,6 +161,29 @@ def lag_of(time_s: np.ndarray, values: np.ndarray, motion: Motion) -> float:
     return float(minimize_scalar(misfit, bounds=(near - 0.01, near + 0.01), method="bounded").x)
 
 
+def over_runs(runs: int, settings: ReversalSettings | None = None, rng: int = 0) -> pd.DataFrame:
+    """The comparison again and again with other noise: a row a run and signal.
+
+    Raises
+    ------
+    InputError
+        If there is no run.
+    """
+    if runs < 1:
+        raise InputError(f"runs: expected 1 or more, got {runs!r}")
+    seeds = np.random.SeedSequence(rng).spawn(runs)
+    tables = [compare_filters(record_reversals(settings, seed)).table() for seed in seeds]
+    return pd.concat(tables, keys=range(runs), names=["run", None]).reset_index(level="run")
+
+
+def over_signals(runs: pd.DataFrame) -> pd.DataFrame:
+    """A row a signal: means over runs, and between how far they lie, ``..._sd``."""
+    grouped = runs.drop(columns="run").groupby("signal", sort=False)
+    spread = grouped.std(ddof=1).add_suffix("_sd")
+    both = grouped.mean().join(spread)
+    return both[[name for column in grouped.mean() for name in (column, f"{column}_sd")]].reset_index()
+
+
 def over_speeds(
     speeds_mm_s: Iterable[float], settings: ReversalSettings | None = None, rng: int = 0
 ) -> pd.DataFrame:
@@ -196,7 +219,7 @@ def over_noise(
     Returns
     -------
     DataFrame
-        A row a pair: `fused_quality`.
+        A row a pair: `fused_quality`; its ``attrs`` hold the tracker's own noise, ``position_mm``.
     """
     told = told_settings(record)
     velocities = list(velocity_mm_s)
@@ -206,7 +229,9 @@ def over_noise(
             settings = replace(told, process_position_mm=process, velocity_mm_s=velocity)
             quality = fused_quality(record, settings)
             rows.append({"process_position_mm": process, "velocity_mm_s": velocity, **quality})
-    return pd.DataFrame(rows)
+    table = pd.DataFrame(rows)
+    table.attrs["position_mm"] = told.position_mm[0]
+    return table
 
 
 def over_delays(
