@@ -20,8 +20,8 @@ _FINE = 3
 # Standard deviations of blur by which the centroid's window reaches beyond the surface: more of them let in
 # more noise, less cut off brightness.
 _TAIL = 1.5
-# Of the centroid's window towards the centroid; three are enough in practice.
-_WINDOWS = 5
+# Windows in a row, each about the centroid that the one before found; more change nothing.
+_WINDOWS = 2
 # Share of the balls' volume that is surely of full brightness also where their radius is not as told.
 _BRIGHT = 0.1
 #: Largest relative difference between a bright region's radius, or half an axis, and the spheres' radius.

@@ -9,12 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from study.errors import InputError
-from study.guidance.frames import checked_transforms, rigid
+from study.guidance.frames import RIGID, checked_transforms, rigid
 from study.registration.first_order import motion_of_points
 from study.registration.rigid import checked_fiducials, register_many
-
-# How far from rigid a pose may be before it is refused; rounding leaves much less.
-_RIGID = 1e-5
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +91,7 @@ def checked_poses(name: str, poses: ArrayLike) -> np.ndarray:
     if good and len(T):
         R = T[:, :3, :3]
         wrong = np.abs(R @ np.swapaxes(R, 1, 2) - np.eye(3)).max()
-        good = np.isfinite(T).all() and wrong <= _RIGID
+        good = np.isfinite(T).all() and wrong <= RIGID
         good = good and (np.linalg.det(R) > 0).all() and (T[:, 3] == [0, 0, 0, 1]).all()
     return T if good else checked_transforms(name, poses)  # which says what is wrong
 
