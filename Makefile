@@ -20,7 +20,7 @@ help:
 	@sed -n 's/^# \(make .*\)/\1/p' Makefile
 
 reproduce: $(MADE)
-	@$(RUN) dvc repro
+	@$(RUN) study.reproduce
 	@$(RUN) study.manifest
 
 test: $(MADE)

@@ -6,8 +6,9 @@ The notebook's parameters come from its own ``parameters`` cell, then from the p
 ``params.yaml``, then from ``-p``. A parameter that the notebook does not declare is an error: papermill
 alone would warn and run the notebook with its default, which looks like success.
 
-``--each strategy zigzag 3d --each dof 4 5`` runs it once for every combination, two side by side; then
-``--output`` names the parameters: ``figures/executed/appendix_a_{strategy}_{dof}dof.ipynb``.
+``--each strategy zigzag 3d --each dof 4 5`` runs it once for every combination, as many side by side as
+`study.threads.usual_workers` says; then ``--output`` names the parameters:
+``figures/executed/appendix_a_{strategy}_{dof}dof.ipynb``.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ from traitlets.config import Config  # noqa: E402
 
 from study.errors import FileFormatError, InputError, StudyError  # noqa: E402
 from study.paths import PROJECT  # noqa: E402
-from study.threads import WORKERS_VARIABLE  # noqa: E402
+from study.threads import WORKERS_VARIABLE, usual_workers  # noqa: E402
 
 EXECUTED = PROJECT / "figures" / "executed"
 """Folder of the executed copies; they are for reading and no result depends on them."""
@@ -50,9 +51,6 @@ ENVIRONMENT = {
     "JUPYTER_PREFER_ENV_PATH": "1",  # the kernel of this environment, not one of the same name at home
 }
 """What a batch run sets for its kernel."""
-
-SIDE_BY_SIDE = 2
-"""Runs of ``--each`` at the same time."""
 
 
 def declared_parameters(notebook: nbformat.NotebookNode, name: str = "notebook") -> dict[str, Any]:
@@ -297,8 +295,8 @@ def _run_side_by_side(given: argparse.Namespace) -> int:
         for name, value in values.items():
             command += ["-p", name, value]
         commands.append(command)
-    side_by_side = min(SIDE_BY_SIDE, os.cpu_count() or 1)
-    environment = {**os.environ, WORKERS_VARIABLE: "1"}  # they share the cores: none needs more processes
+    side_by_side = usual_workers()
+    environment = {**os.environ, WORKERS_VARIABLE: "1"}  # they share the cores: none needs more
     pool = ThreadPoolExecutor(side_by_side)
     try:
         runs = [pool.submit(subprocess.run, command, env=environment) for command in commands]

@@ -1,4 +1,4 @@
-"""What runs side by side: threads on the halves of an array, and how many processes an experiment starts.
+"""What runs side by side: threads on the parts of an array, processes of an experiment, stages.
 
 Compiled loops that let go of the interpreter run in threads, all else in processes.
 """
@@ -14,7 +14,7 @@ import numpy as np
 
 from study.errors import InputError
 
-#: Names how many processes an experiment starts unless it is told: one where notebooks run side by side.
+#: Names how many cores a run may take, in processes or threads: one where notebooks run side by side.
 WORKERS_VARIABLE = "STUDY_WORKERS"
 
 #: More threads than this gain little: each fills a memory of answers of its own.
@@ -32,8 +32,7 @@ def in_threads(work: Callable[[slice], None], count: int, least: int) -> None:
     least : int
         Fewer than this are not worth a thread.
     """
-    usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    threads = max(1, min(usable, _MOST, count // least))
+    threads = max(1, min(asked_workers() or _cores(), _MOST, count // least))
     ends = np.linspace(0, count, threads + 1).astype(int)
     pieces = [slice(int(a), int(b)) for a, b in itertools.pairwise(ends)]
     if threads == 1:
@@ -43,8 +42,12 @@ def in_threads(work: Callable[[slice], None], count: int, least: int) -> None:
         list(pool.map(work, pieces))
 
 
-def usual_workers() -> int:
-    """How many processes an experiment starts: of `WORKERS_VARIABLE`, else two, or one on a single core.
+def _cores() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def asked_workers() -> int:
+    """How many cores a run may take, of `WORKERS_VARIABLE`; 0 if it says nothing.
 
     Raises
     ------
@@ -53,7 +56,18 @@ def usual_workers() -> int:
     """
     asked = os.environ.get(WORKERS_VARIABLE)
     if not asked:
-        return min(2, os.cpu_count() or 1)
+        return 0
     if not asked.isdigit() or int(asked) < 1:
-        raise InputError(f"{WORKERS_VARIABLE}: expected how many processes, at least 1, got {asked!r}")
+        raise InputError(f"{WORKERS_VARIABLE}: expected a number of workers, at least 1, got {asked!r}")
     return int(asked)
+
+
+def usual_workers() -> int:
+    """How many processes, notebooks or stages run at once: as many as asked, else two, one on a single core.
+
+    Raises
+    ------
+    InputError
+        As `asked_workers`.
+    """
+    return asked_workers() or min(2, os.cpu_count() or 1)
