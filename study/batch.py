@@ -32,12 +32,12 @@ sys.modules.setdefault("rfc3987_syntax", None)
 
 import nbformat  # noqa: E402
 import papermill  # noqa: E402
-import yaml  # noqa: E402
 from papermill.exceptions import PapermillExecutionError  # noqa: E402
 from traitlets.config import Config  # noqa: E402
 
 from study.errors import FileFormatError, InputError, StudyError  # noqa: E402
 from study.paths import PROJECT  # noqa: E402
+from study.profiles import profile_parameters  # noqa: E402
 from study.threads import WORKERS_VARIABLE, usual_workers  # noqa: E402
 
 EXECUTED = PROJECT / "figures" / "executed"
@@ -136,34 +136,6 @@ def checked_parameters(
             )
         checked[key] = value
     return checked
-
-
-def profile_parameters(notebook: str, profile: str, file: Path = PROJECT / "params.yaml") -> dict[str, Any]:
-    """Return what a profile sets for a notebook.
-
-    Parameters
-    ----------
-    notebook : str
-        Name of the notebook without folder and suffix.
-    profile : str
-        A top-level key of the file.
-    file : pathlib.Path
-        The file of profiles.
-
-    Returns
-    -------
-    dict of str to object
-        Parameters, empty if the profile says nothing about this notebook.
-
-    Raises
-    ------
-    InputError
-        If the file has no such profile.
-    """
-    profiles = yaml.safe_load(file.read_text(encoding="utf-8"))
-    if profile not in profiles:
-        raise InputError(f"{file.name} has no profile {profile!r}; it has: {', '.join(profiles)}")
-    return dict(profiles[profile].get(notebook) or {})
 
 
 @contextmanager

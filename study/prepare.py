@@ -8,7 +8,6 @@ stages and nothing else does.
 from __future__ import annotations
 
 import multiprocessing
-import os
 import platform
 import sys
 from collections.abc import Sequence
@@ -18,36 +17,18 @@ from itertools import product
 
 import numba
 import numpy as np
-import yaml
 from numba.core.caching import IndexDataCacheFile
 
 from study.collision._kernels import pose_is_free
-from study.errors import InputError, StudyError
+from study.errors import StudyError
 from study.files import written_whole
-from study.paths import PROJECT, output_folder
+from study.paths import output_folder
 from study.planners import CuttingForce, IncidenceAngle, PlannerSettings, plan_path
 from study.planners.moments import moment, telling_row
 from study.planners.planning import DEGREES_OF_FREEDOM, STRATEGIES
+from study.profiles import chosen_profile
 from study.robots import predict_milling
 from study.volumes import LabelVolume
-
-#: Names the profile of ``params.yaml`` that the pipeline runs in; ``quick`` when it is not set.
-PROFILE_VARIABLE = "STUDY_PROFILE"
-
-
-def chosen_profile() -> str:
-    """Return the profile that the environment asks for.
-
-    Raises
-    ------
-    InputError
-        If ``params.yaml`` has no such profile.
-    """
-    profile = os.environ.get(PROFILE_VARIABLE) or "quick"
-    profiles = yaml.safe_load((PROJECT / "params.yaml").read_text(encoding="utf-8"))
-    if profile not in profiles:
-        raise InputError(f"{PROFILE_VARIABLE}={profile}: expected one of {', '.join(profiles)}")
-    return profile
 
 
 def tiny_volume() -> LabelVolume:
@@ -122,6 +103,22 @@ def warm_surface() -> None:
     register_surface(corners, corners, np.eye(4)[None])
 
 
+@cache
+def warm_guidance() -> None:
+    """Compile, or load, what a guided robot's filters, loop and access need, once a process."""
+    from study.guidance import access, filters, fusion
+    from study.guidance.blocks import aluminium_block
+    from study.guidance.control import PoseController
+    from study.guidance.loop import HoleRun
+    from study.guidance.setting_up import set_up
+    from study.guidance.systems import system
+
+    for room in (fusion, filters, access):
+        room.warm()
+    PoseController().step(np.eye(4), np.eye(4))
+    HoleRun(set_up(system("hannover"), aluminium_block(), rng=0), hole=0, rng=0).run(until_s=0.0)
+
+
 def warm() -> None:
     """Compile every kernel once.
 
@@ -131,6 +128,7 @@ def warm() -> None:
     warm_checks()
     warm_margins()
     warm_surface()
+    warm_guidance()
 
 
 def take_turns(turn: AbstractContextManager) -> None:
@@ -156,8 +154,8 @@ def take_turns(turn: AbstractContextManager) -> None:
 
 def _warm_the_other_half(turn: AbstractContextManager) -> None:
     take_turns(turn)
-    warm_surface()
     warm_planning(degrees=DEGREES_OF_FREEDOM[1:])
+    warm_guidance()
 
 
 def warm_side_by_side() -> None:
@@ -181,6 +179,7 @@ def warm_side_by_side() -> None:
         warm_planning(degrees=DEGREES_OF_FREEDOM[:1])
         warm_checks()
         warm_margins()
+        warm_surface()
     finally:
         IndexDataCacheFile.save = save
         other.join()

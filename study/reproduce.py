@@ -3,6 +3,7 @@
 A notebook spends its first seconds on one core, loading libraries, and dvc runs one stage after the
 other. Here each stage is still dvc's, which alone decides whether it is up to date, but as many run at
 once as there are workers, none before those whose outputs it reads. They start in the order of ``dvc.yaml``.
+In the full profile loading is nothing beside computing: one stage at a time takes all cores.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ import yaml
 
 from study.errors import InputError, StudyError
 from study.paths import PROJECT
+from study.profiles import chosen_profile
 from study.threads import WORKERS_VARIABLE, usual_workers
 
 
@@ -89,7 +91,7 @@ def run_in_order(stages: Mapping[str, set[str]], run: Callable[[str], int], work
     return failed
 
 
-def run_stage(name: str, workers: int = 1, folder: Path = PROJECT) -> int:
+def run_stage(name: str, workers: int = 0, folder: Path = PROJECT) -> int:
     """Let dvc run one stage, if it is not up to date.
 
     Parameters
@@ -97,7 +99,7 @@ def run_stage(name: str, workers: int = 1, folder: Path = PROJECT) -> int:
     name : str
         Of the stage.
     workers : int
-        Cores that it may take.
+        Cores that it may take; 0 leaves it to `study.threads`.
     folder : pathlib.Path
         Where ``dvc.yaml`` is.
 
@@ -108,13 +110,16 @@ def run_stage(name: str, workers: int = 1, folder: Path = PROJECT) -> int:
     """
     # One dvc at a time reads and writes dvc.lock; while a stage's command runs, the next one can.
     command = [sys.executable, "-m", "dvc", "--wait-for-lock", "repro", "--single-item", name]
-    return subprocess.run(command, cwd=folder, env={**os.environ, WORKERS_VARIABLE: str(workers)}).returncode
+    asked = {WORKERS_VARIABLE: str(workers)} if workers else {}
+    return subprocess.run(command, cwd=folder, env={**os.environ, **asked}).returncode
 
 
 def main() -> int:
-    """Run ``python -m study.reproduce``; return 1 if a stage failed."""
+    """Run ``python -m study.reproduce``; return 1 if a stage failed, 2 if the profile is not one."""
     try:
-        failed = run_in_order(read_stages(), run_stage, usual_workers())
+        together = 1 if chosen_profile() == "full" else usual_workers()
+        cores = 0 if together == 1 else 1
+        failed = run_in_order(read_stages(), lambda name: run_stage(name, cores), together)
     except StudyError as error:
         print(f"python -m study.reproduce: {error}", file=sys.stderr)
         return 2

@@ -15,6 +15,7 @@ import yaml
 
 from study import _compiled
 from study.paths import PROJECT
+from study.threads import WORKERS_VARIABLE
 
 NOTEBOOKS = "test_notebooks.py"
 
@@ -60,7 +61,8 @@ def give_caches(config, specs):
 
     Processes that fill numba's cache at the same time can break it. Hence everything is compiled once,
     here, and each worker starts from a copy. What tests compile beyond that goes to the copy, which goes
-    away at the end. Notebooks and other processes that a test starts take over their worker's folder.
+    away at the end. Notebooks and other processes that a test starts take over their worker's folder, and
+    its one core.
     """
     from study.prepare import warm_side_by_side  # imports all of the package: a single test need not wait
 
@@ -76,7 +78,7 @@ def give_caches(config, specs):
         for kernels in base.glob("kernels-*"):
             half_written = shutil.ignore_patterns("*.tmp.*")
             shutil.copytree(kernels, own / kernels.name, ignore=half_written, copy_function=_link)
-        spec.env |= {"NUMBA_CACHE_DIR": str(own), "IPYTHONDIR": str(own / "ipython")}
+        spec.env |= {"NUMBA_CACHE_DIR": str(own), "IPYTHONDIR": str(own / "ipython"), WORKERS_VARIABLE: "1"}
 
 
 def _link(source, target):

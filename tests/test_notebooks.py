@@ -16,9 +16,9 @@ from study.batch import (
     command_line,
     declared_parameters,
     private_connection,
-    profile_parameters,
 )
 from study.paths import PROJECT
+from study.profiles import profile_parameters
 
 STAGES = yaml.safe_load((PROJECT / "dvc.yaml").read_text(encoding="utf-8"))["stages"]
 

@@ -26,13 +26,12 @@ from study.batch import (
     command_line,
     declared_parameters,
     main,
-    profile_parameters,
     run_notebook,
 )
 from study.errors import FileFormatError, InputError, StudyError
 from study.manifest import read_manifest
 from study.paths import PROJECT
-from study.prepare import chosen_profile
+from study.profiles import chosen_profile, profile_parameters
 
 NOTEBOOKS = sorted((PROJECT / "notebooks").glob("*.ipynb"))
 STAGES = yaml.safe_load((PROJECT / "dvc.yaml").read_text(encoding="utf-8"))["stages"]
@@ -271,7 +270,8 @@ def test_two_processes_compile_together_what_one_would(monkeypatch):
             target(*args)
 
     done = []
-    for name in ("warm_planning", "warm_checks", "warm_margins", "warm_surface"):
+    once = ("warm_checks", "warm_margins", "warm_surface", "warm_guidance")
+    for name in ("warm_planning", *once):
         monkeypatch.setattr(
             prepare,
             name,
@@ -281,8 +281,8 @@ def test_two_processes_compile_together_what_one_would(monkeypatch):
     monkeypatch.setattr(IndexDataCacheFile, "save", IndexDataCacheFile.save)  # put back at the end
     prepare.warm_side_by_side()
     planning = {("warm_planning", dof) for dof in prepare.DEGREES_OF_FREEDOM}
-    assert len(done) == 5
-    assert set(done) == planning | {("warm_checks", 0), ("warm_margins", 0), ("warm_surface", 0)}
+    assert len(done) == len(planning) + len(once)
+    assert set(done) == planning | {(name, 0) for name in once}
     Process.exitcode = 3
     with pytest.raises(StudyError, match="ended with 3"):
         prepare.warm_side_by_side()

@@ -7,6 +7,7 @@ import time
 
 import pytest
 
+from study import reproduce
 from study.errors import InputError
 from study.paths import PROJECT
 from study.reproduce import read_stages, run_in_order, run_stage
@@ -94,7 +95,7 @@ def test_dvc_lets_stages_run_side_by_side_and_finds_them_up_to_date(tmp_path):
     (tmp_path / "dvc.yaml").write_text(PIPELINE.replace("PYTHON", sys.executable))
     (tmp_path / "wait.py").write_text(WAIT)
     stages = read_stages(tmp_path / "dvc.yaml")
-    assert run_in_order(stages, lambda name: run_stage(name, folder=tmp_path), 2) == []
+    assert run_in_order(stages, lambda name: run_stage(name, 1, tmp_path), 2) == []
     assert (tmp_path / "both.csv").read_text().split() == ["left", "right", "1"]
     done = subprocess.run(
         [sys.executable, "-m", "dvc", "status", "--quiet"], cwd=tmp_path, capture_output=True, text=True
@@ -103,7 +104,27 @@ def test_dvc_lets_stages_run_side_by_side_and_finds_them_up_to_date(tmp_path):
     (tmp_path / "left.csv").unlink()
     (tmp_path / "right.begun").unlink()
     (tmp_path / "wait.py").write_text("raise SystemExit(3)")
-    assert run_in_order(stages, lambda name: run_stage(name, folder=tmp_path), 1) == ["left"]
+    assert run_in_order(stages, lambda name: run_stage(name, 1, tmp_path), 1) == ["left"]
+
+
+@pytest.mark.parametrize(("profile", "expected"), [("quick", (3, 1)), ("full", (1, 0)), ("test", (3, 1))])
+def test_full_profile_leaves_all_cores_to_one_stage(monkeypatch, profile, expected):
+    monkeypatch.setenv("STUDY_PROFILE", profile)
+    monkeypatch.setenv("STUDY_WORKERS", "3")
+    seen = []
+    monkeypatch.setattr(reproduce, "run_stage", lambda name, cores: seen.append(cores) or 0)
+    monkeypatch.setattr(
+        reproduce, "run_in_order", lambda stages, run, together: [] if run("x") else seen.append(together)
+    )
+    assert reproduce.main() == 0
+    assert (seen[1], seen[0]) == expected
+
+
+def test_unknown_profile_is_refused_before_anything_runs(monkeypatch, capsys):
+    monkeypatch.setenv("STUDY_PROFILE", "fast")
+    monkeypatch.setattr(reproduce, "run_stage", None)
+    assert reproduce.main() == 2
+    assert "STUDY_PROFILE=fast" in capsys.readouterr().err
 
 
 def test_threads_are_as_many_as_asked(monkeypatch):
