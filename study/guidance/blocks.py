@@ -30,7 +30,7 @@ def aluminium_block() -> Phantom:
         [57.0, -32.0, -4.0],
         [57.0, 32.0, -4.0],
         [-57.0, 32.0, -4.0],
-        [0.0, 34.0, -4.0],
+        [12.0, 34.0, -4.0],
     ]
     return Phantom(
         "aluminium block",

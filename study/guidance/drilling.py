@@ -8,7 +8,6 @@ import numpy as np
 
 from study.errors import GuidanceError
 from study.guidance.loop import DrilledHole, HoleRun, LoopSettings
-from study.guidance.loop.arm_motion import built_arm
 from study.guidance.safety import Status
 from study.guidance.setting_up import SetUp
 
@@ -37,10 +36,9 @@ def drill_holes(
         If the robot stopped, which it should not without faults.
     """
     rng = np.random.default_rng(rng)
-    built = built_arm(ready.system, rng)
     done = []
     for hole in range(len(ready.phantom.entries)) if holes is None else holes:
-        run = HoleRun(ready, hole, rng, settings, built=built)
+        run = HoleRun(ready, hole, rng, settings)
         if run.run() is not Status.DONE:
             raise GuidanceError(
                 f"hole {hole}: expected to end as DONE, it is {run.status.name} at {run.time_s:.2f} s"

@@ -20,7 +20,7 @@ from study.paths import data_path
 SYSTEMS = ("hannover", "vanderbilt")
 _COLUMNS = ["cause", "unit", *SYSTEMS, "low", "high", "known", "source"]
 #: Causes that count something.
-_WHOLE = ("touches", "touch_frames", "pivot_poses")
+_WHOLE = ("hand_eye_poses", "touches", "touch_frames", "pivot_poses")
 #: Causes that divide something: they cannot be 0.
 _POSITIVE = (
     "tracker_depth_ratio",
@@ -29,6 +29,8 @@ _POSITIVE = (
     "tracker_delay_s",
     "marker_size_mm",
     "robot_cycle_s",
+    "hand_eye_poses",
+    "hand_eye_turn_deg",
     "drive_lag_s",
     "touches",
     "touch_frames",
@@ -79,7 +81,8 @@ class GuidedSystem:
     robot_repeatability_mm: float
     joint_bias_mrad: float
     link_error_mm: float
-    base_alignment_mrad: float
+    hand_eye_poses: int
+    hand_eye_turn_deg: float
     robot_cycle_s: float
     drive_lag_s: float
     pointer_tip_error_mm: float

@@ -7,13 +7,12 @@ from math import gcd
 import numpy as np
 from scipy import stats
 from scipy.signal import lfilter
-from scipy.spatial.transform import Rotation
 
 from study.errors import GuidanceError, InputError
+from study.guidance.arm_motion import REPEATABILITY_STDS, nominal_angles, twist_gain
 from study.guidance.faults import Faults
 from study.guidance.frames import difference, inverse, moved, quaternions, rigid
 from study.guidance.loop import _kernels
-from study.guidance.loop.arm_motion import REPEATABILITY_STDS, built_arm, nominal_angles, twist_gain
 from study.guidance.loop.hole import DrilledHole
 from study.guidance.loop.readings import noise_readings
 from study.guidance.loop.records import Inputs, State, Workspace
@@ -21,7 +20,6 @@ from study.guidance.loop.settings import LoopSettings
 from study.guidance.safety import Status
 from study.guidance.scene import facing_orientation
 from study.guidance.setting_up import SetUp
-from study.robots.arms import SixAxisArm
 
 #: A hole may take so many times as long as it should.
 _PATIENCE = 2.0
@@ -41,8 +39,6 @@ class HoleRun:
     settings : LoopSettings, optional
     faults : Faults, optional
         What goes wrong on the way.
-    built : SixAxisArm, optional
-        The arm as built; drawn when not given.
 
     Raises
     ------
@@ -59,22 +55,20 @@ class HoleRun:
         rng: object = None,
         settings: LoopSettings | None = None,
         faults: Faults | None = None,
-        built: SixAxisArm | None = None,
     ) -> None:
         rng = np.random.default_rng(rng)
         if not 0 <= hole < len(ready.phantom.entries):
             raise InputError(f"hole: expected 0 to {len(ready.phantom.entries) - 1}, got {hole!r}")
         self.ready, self.hole = ready, hole
         self.settings = settings or LoopSettings()
-        built = built or built_arm(ready.system, rng)
         self._plan()
         self._clock()
-        self._inputs = self._gather(built, faults or Faults(), rng)
+        self._inputs = self._gather(faults or Faults(), rng)
         self._forces = self._bending(rng)
         self._work = Workspace.empty(self._lags)
         self._log = np.zeros((self._ticks // self._every_filter + 1, 11))
         self._at = 0
-        self._state = self._start(built)
+        self._state = self._start()
 
     def _plan(self) -> None:
         """Where the drill should be, in the image."""
@@ -108,15 +102,13 @@ class HoleRun:
         scene = self.ready.scene
         return self.ready.phantom.T_rob_img @ self._wanted(depth, scene.T_tool_tcp) @ inverse(scene.T_ee_tcp)
 
-    def _gather(self, built: SixAxisArm, faults: Faults, rng: np.random.Generator) -> Inputs:
+    def _gather(self, faults: Faults, rng: np.random.Generator) -> Inputs:
         """All that the loop needs to know and does not change."""
         ready, settings, scene, system = self.ready, self.settings, self.ready.scene, self.ready.system
-        tilt = Rotation.from_rotvec(system.base_alignment_mrad * 1e-3 * rng.standard_normal(3))
-        T_rob_base = rigid(tilt) @ scene.T_rob_base
         T_tcp_tool = inverse(scene.T_tool_tcp)
         ends = np.stack([self._wanted(depth, ready.T_tool_tcp) for depth in (self._first, self._last)])
         T_rob_markers = np.stack(
-            [*(ready.phantom.T_rob_img @ ends @ T_tcp_tool), T_rob_base, scene.T_rob_pat]
+            [*(ready.phantom.T_rob_img @ ends @ T_tcp_tool), scene.T_rob_base, scene.T_rob_pat]
         )
         T_cam_markers = scene.T_cam_rob @ T_rob_markers
         turns, shifts = difference(ready.tracker.distorted(scene.marker, T_cam_markers), T_cam_markers)
@@ -133,19 +125,19 @@ class HoleRun:
             pictures, system.tracker_cycle_s, commands, system.robot_cycle_s
         )
         middle = self._on_paper(0.5 * (self._first + self._last))
-        believed = scene.T_ee_tcp @ T_tcp_tool @ ready.T_tool_tcp
+        believed = ready.T_ee_tool @ ready.T_tool_tcp
         jump = max(
             settings.safety.patient_jump_mm,
             settings.safety.patient_jump_stds / settings.moving_stds * thresholds[1, 0],
         )
         return Inputs(
             *_split(scene.T_cam_rob),
-            *_split(T_rob_base),
+            *_split(scene.T_rob_base),
             *_split(scene.T_rob_pat),
             *_split(ready.true_T_pat_img),
             *_split(T_tcp_tool),
-            twist_gain(built, middle, scene.T_ee_tcp, believed),
-            *_split(inverse(scene.T_rob_base)),
+            twist_gain(ready.built, middle, scene.T_ee_tcp, believed),
+            *_split(ready.T_base_rob),
             *_split(ready.T_pat_img),
             *_split(ready.T_tool_tcp),
             entry=self._entry.copy(),
@@ -211,9 +203,10 @@ class HoleRun:
         slip = system.entry_slip_mm * rng.standard_normal(2) * np.exp(-depths / _SLIP_MM)[:, None]
         return depths, force / system.bit_stiffness_n_mm + slip
 
-    def _start(self, built: SixAxisArm) -> State:
+    def _start(self) -> State:
         """Before the first tick: where an arm that knows itself on paper only comes to, sent to the line."""
         scene, n = self.ready.scene, self._lags + 2
+        built = self.ready.built
         q = nominal_angles(built.name, self._on_paper(self._first))
         place, turn = _split(built.forward(q) @ scene.T_ee_tcp)
         covariances = np.zeros((2, 3, n, n))
