@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import gcd
 
 import numpy as np
-from scipy import stats
 from scipy.signal import lfilter
 
 from study.errors import GuidanceError, InputError
@@ -14,7 +14,7 @@ from study.guidance.faults import Faults
 from study.guidance.frames import difference, inverse, moved, quaternions, rigid
 from study.guidance.loop import _kernels
 from study.guidance.loop.hole import DrilledHole
-from study.guidance.loop.readings import noise_readings
+from study.guidance.loop.readings import marker_noise, tip_noise
 from study.guidance.loop.records import Inputs, State, Workspace
 from study.guidance.loop.settings import LoopSettings
 from study.guidance.safety import Status
@@ -82,13 +82,13 @@ class HoleRun:
     def _clock(self) -> None:
         """Ticks that divide the cycles of tracker, fusion and robot, and how many there can be."""
         system, settings = self.ready.system, self.settings
-        cycles = [system.tracker_cycle_s, settings.sample_s, system.robot_cycle_s]
+        cycles = [system.tracker_cycle_s, settings.fusion.sample_s, system.robot_cycle_s]
         parts = [max(1, round(1000 * cycle)) for cycle in cycles]
         common = gcd(*parts)
         self._tick = common / 1000.0
         self._every_sample, self._every_filter, self._every_command = (part // common for part in parts)
         self._delay = max(1, round(system.tracker_delay_s / self._tick))
-        self._lags = max(1, round(system.tracker_delay_s / settings.sample_s))
+        self._lags = max(1, round(system.tracker_delay_s / settings.fusion.sample_s))
         way = (self._last - self._first) * (1.0 + 1.0 / settings.retraction) / system.insertion_mm_s
         self._ticks = int(_PATIENCE * (settings.settle_s + settings.stay_s + way + 4.0) / self._tick)
 
@@ -114,7 +114,9 @@ class HoleRun:
         turns, shifts = difference(ready.tracker.distorted(scene.marker, T_cam_markers), T_cam_markers)
         biases = np.concatenate([turns, shifts], axis=1)
         covariances = ready.tracker.pose_covariance(scene.marker, T_cam_markers[1:])
-        measurement, thresholds = noise_readings(ready, settings, T_cam_markers[1:], covariances)
+        base, patient = (marker_noise(ready, covariance) for covariance in covariances[1:])
+        tip = tip_noise(ready, settings.patient, T_cam_markers[1:3], covariances[:2])
+        fusion = self._fusion = replace(settings.fusion, lags=self._lags).with_noise(tip)
         pictures = self._ticks // self._every_sample + 2
         commands = self._ticks // self._every_command + 2
         steps = self._ticks // self._every_filter + 2
@@ -128,7 +130,7 @@ class HoleRun:
         believed = ready.T_ee_tool @ ready.T_tool_tcp
         jump = max(
             settings.safety.patient_jump_mm,
-            settings.safety.patient_jump_stds / settings.moving_stds * thresholds[1, 0],
+            settings.safety.patient_jump_stds * patient.distance_mm,
         )
         return Inputs(
             *_split(scene.T_cam_rob),
@@ -156,12 +158,19 @@ class HoleRun:
             handshake=handshake,
             gains=settings.control.gains,
             most=settings.control.most,
-            weights=settings.weights,
-            base_thresholds=thresholds[0].copy(),
-            patient_thresholds=thresholds[1].copy(),
-            process=settings.process,
-            measurement=measurement,
-            gate=float(stats.chi2.isf(settings.gate, 3)) if settings.gate > 0 else np.inf,
+            weights=settings.patient.weights,
+            base_thresholds=settings.patient.thresholds(base),
+            patient_thresholds=settings.patient.thresholds(patient),
+            process=fusion.process,
+            measurement=np.stack(
+                [
+                    fusion.r_position,
+                    np.full(3, fusion.r_velocity[0]),
+                    fusion.r_rotation,
+                    np.full(3, fusion.r_velocity[1]),
+                ]
+            ),
+            gate=fusion.largest_nis,
             tick=self._tick,
             lag=float(system.drive_lag_s),
             quantum=float(system.tracker_quantum_mm),
@@ -185,7 +194,7 @@ class HoleRun:
 
     def _wandering(self, steps: int, rng: np.random.Generator) -> np.ndarray:
         """(steps, 3) error of the arm's repeatability, which changes slowly and no encoder sees, mm."""
-        stay = np.exp(-self.settings.sample_s / self.settings.wander_s)
+        stay = np.exp(-self.settings.fusion.sample_s / self.settings.wander_s)
         std = self.ready.system.robot_repeatability_mm / REPEATABILITY_STDS
         white = std * rng.standard_normal((steps, 3))
         white[1:] *= np.sqrt(1.0 - stay**2)
@@ -209,11 +218,7 @@ class HoleRun:
         built = self.ready.built
         q = nominal_angles(built.name, self._on_paper(self._first))
         place, turn = _split(built.forward(q) @ scene.T_ee_tcp)
-        covariances = np.zeros((2, 3, n, n))
-        for kind in range(2):
-            position, velocity = self._inputs.measurement[2 * kind : 2 * kind + 2]
-            covariances[kind, :, : n - 1, : n - 1] = position[:, None, None]
-            covariances[kind, :, n - 1, n - 1] = velocity
+        covariances = self._fusion.first_covariances()
         twists = {name: np.zeros(6) for name in ("moving", "told", "pending", "held", "reported", "integral")}
         points = ("base_p", "rob_p", "patient_p", "wanted_p", "line", "spin")
         turns = ("base_q", "rob_q", "patient_q", "wanted_q")
@@ -227,9 +232,9 @@ class HoleRun:
             depth=np.array([float(self._first)]),
             across=np.zeros(1),
             x=np.zeros((3, n)),
-            cov=covariances[0].copy(),
+            cov=covariances[0],
             turns=np.zeros((n - 1, 4)),
-            cov_turn=covariances[1].copy(),
+            cov_turn=covariances[1],
             ring=np.zeros((self._delay // self._every_sample + 2, 21)),
             arrived=np.zeros(21),
             last=np.zeros(21),
