@@ -30,6 +30,15 @@ def drilling_fusion() -> FusionSettings:
     )
 
 
+def drilling_filters() -> PatientFilterSettings:
+    """The filters of patient and base for drilling.
+
+    A threshold above their default: half a metre from the base's marker, a sample of its orientation that is
+    taken for motion and let through would move the desired tip by a millimetre.
+    """
+    return PatientFilterSettings(threshold=6.0)
+
+
 @dataclass(frozen=True)
 class LoopSettings:
     """How the robot is run: filters, fusion, control, guards, and the operator's habits.
@@ -62,7 +71,7 @@ class LoopSettings:
 
     control: ControlSettings = field(default_factory=ControlSettings)
     safety: SafetySettings = field(default_factory=SafetySettings)
-    patient: PatientFilterSettings = field(default_factory=PatientFilterSettings)
+    patient: PatientFilterSettings = field(default_factory=drilling_filters)
     fusion: FusionSettings = field(default_factory=drilling_fusion)
     approach_mm: float = 10.0
     wait_mm: float = 0.5
