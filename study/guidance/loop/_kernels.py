@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import exp, floor, inf, sqrt
+from math import exp, floor, sqrt
 
 from study._compiled import inner, threaded
 from study.guidance._kernels import (
@@ -117,7 +117,8 @@ def _deliver(s, inputs, k, w):
         s.counts[2] = s.counts[2] + 1 if same else 0
         if s.counts[2] >= inputs.most_frozen:
             s.status[0] = FROZEN
-            return False
+        if same:
+            return False  # old news
     for i in range(21):
         s.last[i] = s.arrived[i]
     if not s.flags[0]:
@@ -228,6 +229,7 @@ def run(s, inputs, w, first, ticks, out):
     A stop ends nothing: the arm brakes and the truth is written on, until the ticks are used up.
     """
     keep = exp(-inputs.tick / inputs.lag)
+    kept = (1.0 - keep) * inputs.lag / inputs.tick  # the same, on average over the tick
     dt = inputs.tick * inputs.every_filter
     cycle = inputs.tick * inputs.every_command
     span = inputs.last_depth - inputs.first_depth
@@ -236,12 +238,12 @@ def run(s, inputs, w, first, ticks, out):
     for tick in range(first, ticks):
         # The arm: a lag of first order, then what this arm makes of a command.
         for i in range(6):
-            s.moving[i] = s.told[i] + keep * (s.moving[i] - s.told[i])
-        for i in range(6):
             total = 0.0
             for j in range(6):
-                total += inputs.gain[i, j] * s.moving[j]
+                total += inputs.gain[i, j] * (s.told[j] + kept * (s.moving[j] - s.told[j]))
             w.six[i] = total
+        for i in range(6):
+            s.moving[i] = s.told[i] + keep * (s.moving[i] - s.told[i])
         step = tick // inputs.every_filter
         for i in range(3):
             s.clean[i] += inputs.tick * w.six[i]
@@ -273,18 +275,17 @@ def run(s, inputs, w, first, ticks, out):
                 if not s.flags[0]:
                     _begin(s, inputs, w)
             if s.flags[0]:
-                # On its way to the line the arm is fast, and the encoders' delay looks like an error.
-                gate = inf if s.counts[3] == _ALIGN else inputs.gate
+                finding = 1 if s.counts[3] == _ALIGN else 0
                 nis = fuse_position(
                     s.x, s.cov, dt, inputs.process[0], inputs.measurement[0], inputs.measurement[1, 0],
-                    w.p1, s.reported[:3], fresh, gate, w.fusing,
+                    w.p1, s.reported[:3], fresh, inputs.gates[finding, 0], w.fusing,
                 )  # fmt: skip
                 turned = fuse_orientation(
                     s.turns, s.spin, s.cov_turn, dt, inputs.process[1], inputs.measurement[2],
-                    inputs.measurement[3, 0], w.q1, s.reported[3:], fresh, gate, w.fusing,
+                    inputs.measurement[3, 0], w.q1, s.reported[3:], fresh, inputs.gates[finding, 1], w.fusing,
                 )  # fmt: skip
                 if fresh:
-                    bad = nis > gate or turned > gate
+                    bad = nis > inputs.gates[finding, 0] or turned > inputs.gates[finding, 1]
                     s.counts[5] = s.counts[5] + 1 if bad else 0
                     if s.counts[5] >= inputs.most_outliers and s.status[0] == RUNNING:
                         s.status[0] = OUTLIERS

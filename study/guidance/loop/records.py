@@ -97,7 +97,7 @@ class Inputs(NamedTuple):
     patient_thresholds: np.ndarray
     process: np.ndarray  # (2, 2) variances a step: position and velocity, rotation and angular velocity
     measurement: np.ndarray  # (4, 3) variances of position, velocity, rotation and angular velocity
-    gate: float
+    gates: np.ndarray  # (2, 2) largest NIS that is used: drilling, finding the line; position, orientation
     tick: float
     lag: float
     quantum: float

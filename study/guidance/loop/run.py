@@ -12,6 +12,7 @@ from study.errors import GuidanceError, InputError
 from study.guidance.arm_motion import REPEATABILITY_STDS, nominal_angles, twist_gain
 from study.guidance.faults import Faults
 from study.guidance.frames import difference, inverse, moved, quaternions, rigid
+from study.guidance.fusion import FusionSettings
 from study.guidance.loop import _kernels
 from study.guidance.loop.hole import DrilledHole
 from study.guidance.loop.readings import marker_noise, tip_noise
@@ -25,6 +26,10 @@ from study.guidance.setting_up import SetUp
 _PATIENCE = 2.0
 #: Depth within which a burr that slipped on the surface finds back, mm.
 _SLIP_MM = 3.0
+#: For so long a robot that stopped is watched, s.
+_WATCHED_S = 2.0
+#: Longest step of the arm's motion, ms.
+_LONGEST_TICK = 5
 
 
 class HoleRun:
@@ -57,8 +62,9 @@ class HoleRun:
         faults: Faults | None = None,
     ) -> None:
         rng = np.random.default_rng(rng)
-        if not 0 <= hole < len(ready.phantom.entries):
-            raise InputError(f"hole: expected 0 to {len(ready.phantom.entries) - 1}, got {hole!r}")
+        last = len(ready.phantom.entries) - 1
+        if isinstance(hole, bool) or not isinstance(hole, int | np.integer) or not 0 <= hole <= last:
+            raise InputError(f"hole: expected a whole number from 0 to {last}, got {hole!r}")
         self.ready, self.hole = ready, hole
         self.settings = settings or LoopSettings()
         self._plan()
@@ -80,15 +86,18 @@ class HoleRun:
         self._towards = moved(inverse(phantom.T_rob_img), self.ready.scene.camera) - middle
 
     def _clock(self) -> None:
-        """Ticks that divide the cycles of tracker, fusion and robot, and how many there can be."""
+        """Ticks that divide the tracker's cycle and delay, fusion and robot, and how many there can be."""
         system, settings = self.ready.system, self.settings
         cycles = [system.tracker_cycle_s, settings.fusion.sample_s, system.robot_cycle_s]
-        parts = [max(1, round(1000 * cycle)) for cycle in cycles]
+        parts = [max(1, round(1000 * time)) for time in (*cycles, system.tracker_delay_s)]
         common = gcd(*parts)
+        common = next(ms for ms in range(min(common, _LONGEST_TICK), 0, -1) if common % ms == 0)
         self._tick = common / 1000.0
-        self._every_sample, self._every_filter, self._every_command = (part // common for part in parts)
-        self._delay = max(1, round(system.tracker_delay_s / self._tick))
-        self._lags = max(1, round(system.tracker_delay_s / settings.fusion.sample_s))
+        self._every_sample, self._every_filter, self._every_command, self._delay = (
+            part // common for part in parts
+        )
+        # A picture waits for the step of the fusion after it came.
+        self._lags = -(-self._delay // self._every_filter)
         way = (self._last - self._first) * (1.0 + 1.0 / settings.retraction) / system.insertion_mm_s
         self._ticks = int(_PATIENCE * (settings.settle_s + settings.stay_s + way + 4.0) / self._tick)
 
@@ -124,7 +133,7 @@ class HoleRun:
         roots = np.linalg.cholesky(covariances + 1e-24 * np.eye(6))
         noise = np.einsum("bij,nbj->nbi", roots, rng.standard_normal((pictures, 3, 6)))
         spikes, seen, frozen, shift, handshake = faults.over(
-            pictures, system.tracker_cycle_s, commands, system.robot_cycle_s
+            pictures, self._tick * self._every_sample, commands, self._tick * self._every_command
         )
         middle = self._on_paper(0.5 * (self._first + self._last))
         believed = ready.T_ee_tool @ ready.T_tool_tcp
@@ -170,7 +179,7 @@ class HoleRun:
                     np.full(3, fusion.r_velocity[1]),
                 ]
             ),
-            gate=fusion.largest_nis,
+            gates=self._gates(fusion),
             tick=self._tick,
             lag=float(system.drive_lag_s),
             quantum=float(system.tracker_quantum_mm),
@@ -191,6 +200,16 @@ class HoleRun:
             most_missing=settings.safety.missing_samples,
             most_outliers=settings.safety.outlying_samples,
         )
+
+    def _gates(self, fusion: FusionSettings) -> np.ndarray:
+        """(2, 2) largest NIS while drilling and while finding the line, of position and orientation.
+
+        On its way to the line the arm is fast, and how late its encoders are looks like an error.
+        """
+        root = np.sqrt(fusion.largest_nis)
+        late = 2.0 * self.ready.system.robot_cycle_s + fusion.sample_s
+        stds = np.array([min(fusion.position_mm), min(fusion.rotation_rad)])
+        return np.square([[root, root], root + self.settings.control.most * late / stds])
 
     def _wandering(self, steps: int, rng: np.random.Generator) -> np.ndarray:
         """(steps, 3) error of the arm's repeatability, which changes slowly and no encoder sees, mm."""
@@ -254,24 +273,38 @@ class HoleRun:
         return self._at * self._tick
 
     def run(self, until_s: float | None = None) -> Status:
-        """Go on until the hole is done, the time is up, or `until_s`; a stopped robot stands and is watched.
+        """Go on until the hole is done, the robot stops, the time is up, or `until_s`.
+
+        A robot that stopped brakes and stands: it is watched for some two seconds, or to `until_s`.
 
         Parameters
         ----------
         until_s : float, optional
             Since the start.
+
+        Raises
+        ------
+        InputError
+            If that time is past.
         """
         last = self._ticks
         if until_s is not None:
             if not np.isfinite(until_s) or until_s < self.time_s:
                 raise InputError(f"until_s: expected a time from {self.time_s:.3f} s on, got {until_s!r}")
             last = min(last, int(np.ceil(until_s / self._tick)))
-        if self.status is not Status.DONE:
-            self._at = _kernels.run(self._state, self._inputs, self._work, self._at, last, self._log)
+        watched = last if until_s is not None else max(1, round(_WATCHED_S / self._tick))
+        moving = True
+        while moving and self._at < last and self.status is not Status.DONE:
+            end = min(last, self._at + watched)
+            self._at = _kernels.run(self._state, self._inputs, self._work, self._at, end, self._log)
+            moving = not self.status.stopped
         return self.status
 
     def resume(self) -> None:
         """Tell a stopped robot to go on.
+
+        Where it could not believe what it saw, it looks anew: patient, base and drill are where the next
+        picture says.
 
         Raises
         ------
@@ -283,6 +316,9 @@ class HoleRun:
         self._state.integral[:] = 0.0
         for row in (1, 2, 5):
             self._state.counts[row] = 0
+        if self.status in (Status.OUTLIERS, Status.PATIENT_MOVED, Status.OFF_LINE):
+            self._state.flags[0] = False
+            self._state.cov[:], self._state.cov_turn[:] = self._fusion.first_covariances()
         self._state.status[0] = Status.RUNNING
 
     @property
