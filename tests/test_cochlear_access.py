@@ -8,6 +8,7 @@ from matplotlib.figure import Figure
 
 from study.errors import InputError
 from study.experiments import cochlear_access as page
+from study.experiments.margin_survey import at_voxel_size
 from study.guidance import Repeated
 from study.guidance.access import NormalErrors, drill_axes, plan_access, printed_absolute, risk_curve
 from study.margins import GrowthSettings
@@ -67,8 +68,17 @@ def test_required_rows_are_of_what_is_near():
 
 
 def test_whole_voxels_are_touched_more_often_than_their_centres():
-    rows = page.convention_rows(planned("TB14", 0.4)).set_index("voxels", append=True)["probability"]
-    assert (rows.xs("whole", level="voxels") > rows.xs("centre", level="voxels")).all()
+    plan = planned("TB14", 0.4)
+    finer = at_voxel_size(plan.anatomy, 0.2)
+    rows = page.convention_rows(plan, finer).set_index("voxels", append=True)
+    centres, fine, whole = (
+        rows.xs(name, level="voxels")
+        for name in ("centres, 0.4 mm", "centres, 0.2 mm", "whole voxels, 0.4 mm")
+    )
+    clearance = "planned_clearance_mm"
+    np.testing.assert_allclose(centres[clearance] - whole[clearance], 0.4 * np.sqrt(3) / 2)
+    assert fine[clearance].between(whole[clearance], centres[clearance]).all()
+    assert (whole["probability"] > fine["probability"]).all()
 
 
 def test_a_margin_row_says_whether_the_drill_stays_out(plans):

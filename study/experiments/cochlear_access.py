@@ -28,6 +28,7 @@ from study.guidance.access import (
     printed_lateral,
     required_std,
     rms_across,
+    structure_points,
     to_drill_axes,
 )
 from study.guidance.access.collision import distances_from_line
@@ -147,16 +148,35 @@ def required_rows(plan: AccessPlan) -> pd.DataFrame:
     return pd.DataFrame(rows).set_index("structure").sort_values("needed_target_rms_mm")
 
 
-def convention_rows(plan: AccessPlan) -> pd.DataFrame:
-    """The nerves' clearances and risks when a voxel is touched at its centre, and at its farthest corner."""
+def convention_rows(plan: AccessPlan, finer: LabelVolume) -> pd.DataFrame:
+    """The nerves' clearances and risks by what counts as touched.
+
+    Parameters
+    ----------
+    plan : AccessPlan
+    finer : LabelVolume
+        The same anatomy on smaller voxels.
+
+    Returns
+    -------
+    pandas.DataFrame
+        Voxels touched at their centres, the finer ones' centres, and the plan's whole voxels.
+    """
+    half = float(np.linalg.norm(plan.anatomy.spacing) / 2)
+    mm = f"{plan.anatomy.spacing.mean():.2g} mm"
+    conventions = (
+        (f"centres, {mm}", plan.around.keep, 0.0),
+        (f"centres, {finer.spacing.mean():.2g} mm", structure_points(finer, *NERVES), 0.0),
+        (f"whole voxels, {mm}", plan.around.keep, half),
+    )
     rows = []
-    for voxels, reach in (("centre", 0.0), ("whole", float(np.linalg.norm(plan.anatomy.spacing) / 2))):
-        near = {name: plan.around.keep[name] for name in NERVES if name in plan.around.keep}
+    for voxels, points, reach in conventions:
+        near = {name: points[name] for name in NERVES if name in points}
         line = (plan.entry, plan.target, plan.risks.errors, plan.settings.drill_radius)
         found = collision_probability(near, *line, reach).table()
         found.insert(0, "voxels", voxels)
         rows.append(found[["voxels", "planned_clearance_mm", "probability", "low", "high"]])
-    return pd.concat(rows).sort_index(kind="stable")
+    return pd.concat(rows).sort_index(kind="stable", ascending=False)
 
 
 def margin_rows(

@@ -14,8 +14,8 @@ from study.guidance.access.planning import AccessPlan
 from study.margins.overall_risk import RiskEstimate
 from study.margins.settings import checked_share
 
-#: Halvings of the bracket: its width is then a millionth of it.
-_HALVINGS = 20
+#: Halvings of the bracket: its width is then less than a ten-thousandth of it.
+_HALVINGS = 14
 #: A robot that needs to be no better than this many times worse is good enough for any purpose here.
 _WORST = 64.0
 

@@ -231,14 +231,14 @@ def plan_access(
     best = _ranked(lines, settings)[: settings.simulated]
     if not len(best):
         raise TargetUnreachableError(_blocked(lines, settings))
-    simulated = [_simulated(around, lines.entries[row], drawn, settings, reach) for row in best]
-    damage = np.array([weighted_damage(risks, around) for risks, _ in simulated])
+    damage = np.array([_simulated_damage(around, lines, row, drawn, settings, reach) for row in best])
     # Lines come by the normal theory's order: among equals the first is its best.
     chosen = int(np.argmin(damage))
     table = lines.table()
     table["simulated_damage"] = np.nan
     table.loc[best, "simulated_damage"] = damage
-    row, (risks, reached) = best[chosen], simulated[chosen]
+    row = best[chosen]
+    risks, reached = _simulated(around, lines.entries[row], drawn, settings, reach)
     plan = AccessPlan(
         anatomy=anatomy,
         side=side,
@@ -293,6 +293,26 @@ def _simulated(
     risks = collision_probability(around.keep, *line, reach)
     reached = collision_probability({"opening": around.opening}, *line).risk("opening")
     return risks, reached
+
+
+def _simulated_damage(
+    around: Surroundings, lines: Lines, row: int, drawn: np.ndarray, settings: AccessSettings, reach: float
+) -> float:
+    """Expected damage of a line; structures that no error reaches are not asked."""
+    farthest = np.linalg.norm(drawn, axis=2).max()
+    near = [name for name, mm in zip(lines.names, lines.clearances[row], strict=True) if mm <= farthest]
+    if not near:
+        return 0.0
+    entry = lines.entries[row]
+    risks = collision_probability(
+        {name: around.keep[name] for name in near},
+        entry,
+        around.target,
+        to_image_axes(drawn, entry, around.target),
+        settings.drill_radius,
+        reach,
+    )
+    return weighted_damage(risks, around)
 
 
 def _sacrificed(name: str, settings: AccessSettings) -> bool:

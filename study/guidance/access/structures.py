@@ -51,8 +51,9 @@ def outermost(points: np.ndarray, anatomy: LabelVolume) -> np.ndarray:
     inside[tuple(places.T)] = True
     enclosed = inside.copy()
     for axis in range(3):
-        for step in (-1, 1):
-            enclosed &= np.roll(inside, step, axis=axis)
+        moved, still = np.moveaxis(enclosed, axis, 0), np.moveaxis(inside, axis, 0)
+        moved[1:] &= still[:-1]
+        moved[:-1] &= still[1:]
     return points[~enclosed[tuple(places.T)]]
 
 
