@@ -36,18 +36,24 @@ def checked_transform(name: str, transform: ArrayLike) -> np.ndarray:
 
 
 def checked_transforms(name: str, transforms: ArrayLike) -> np.ndarray:
-    """(n, 4, 4) rigid transforms.
+    """(n, 4, 4) rigid transforms, checked all at once: of poses there are many.
 
     Raises
     ------
     InputError
-        If the shape is another or one of them is not rigid.
+        If the shape is another or one of them is not rigid; says which.
     """
     T = np.array(transforms, dtype=float)
     if T.ndim != 3 or T.shape[1:] != (4, 4):
         raise InputError(f"{name}: expected (n, 4, 4) transforms, got shape {T.shape}")
-    for row, one in enumerate(T):
-        checked_transform(f"{name}[{row}]", one)
+    R = T[:, :3, :3]
+    with np.errstate(invalid="ignore"):
+        good = np.abs(R @ np.swapaxes(R, 1, 2) - np.eye(3)).max(axis=(1, 2), initial=0.0) <= RIGID
+        good &= (
+            (np.linalg.det(R) > 0) & (T[:, 3] == [0, 0, 0, 1]).all(axis=1) & np.isfinite(T).all(axis=(1, 2))
+        )
+    for row in np.flatnonzero(~good):
+        checked_transform(f"{name}[{row}]", T[row])
     return T
 
 

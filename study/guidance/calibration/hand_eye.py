@@ -17,8 +17,8 @@ from study.guidance.calibration.turns import (
     solve_turned,
 )
 from study.guidance.frames import rigid
-from study.guidance.tracker.markers import checked_poses
 from study.registration.first_order import cross_matrices
+from study.transforms import checked_transforms
 
 # Turns by nearly half a revolution have no certain axis.
 _HALF_TURN = np.radians(170.0)
@@ -91,8 +91,8 @@ def calibrate_hand_eye(
     InputError
         If a pose is not rigid or there are not as many of both.
     """
-    robot = checked_poses("T_rob_ee", T_rob_ee)
-    camera = checked_poses("T_cam_tool", T_cam_tool)
+    robot = checked_transforms("T_rob_ee", T_rob_ee)
+    camera = checked_transforms("T_cam_tool", T_cam_tool)
     if len(robot) != len(camera):
         raise InputError(f"T_cam_tool: expected {len(robot)} poses like T_rob_ee, got {len(camera)}")
     R = robot[:, :3, :3]

@@ -14,7 +14,7 @@ from study.guidance.calibration.turns import (
     sandwich,
     solve_turned,
 )
-from study.guidance.tracker.markers import checked_poses
+from study.transforms import checked_transforms
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +80,7 @@ def calibrate_pivot(T_ref_tool: ArrayLike, least_spread: float = LEAST_SPREAD) -
     >>> bool(np.allclose(calibrate_pivot(poses).tip_tool, [0.0, 0, 150]))
     True
     """
-    T = checked_poses("T_ref_tool", T_ref_tool)
+    T = checked_transforms("T_ref_tool", T_ref_tool)
     R, p = T[:, :3, :3], T[:, :3, 3]
     spread = checked_spread("T_ref_tool", R, least_spread)
     tool, ref = solve_turned(R, -p)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from study.errors import InputError
-from study.guidance.frames import RIGID, checked_transforms, rigid
+from study.guidance.frames import checked_transforms, rigid
 from study.registration.first_order import motion_of_points
 from study.registration.rigid import checked_fiducials, register_many
 
@@ -78,24 +78,6 @@ class MarkerBody:
         return register_many(moving, spheres, np.ones(len(self.points)))
 
 
-def checked_poses(name: str, poses: ArrayLike) -> np.ndarray:
-    """(n, 4, 4) rigid transforms, checked all at once: a tracker is asked for many.
-
-    Raises
-    ------
-    InputError
-        If the shape is another or one of them is not rigid.
-    """
-    T = np.asarray(poses, dtype=float)
-    good = T.ndim == 3 and T.shape[1:] == (4, 4)
-    if good and len(T):
-        R = T[:, :3, :3]
-        wrong = np.abs(R @ np.swapaxes(R, 1, 2) - np.eye(3)).max()
-        good = np.isfinite(T).all() and wrong <= RIGID
-        good = good and (np.linalg.det(R) > 0).all() and (T[:, 3] == [0, 0, 0, 1]).all()
-    return T if good else checked_transforms(name, poses)  # which says what is wrong
-
-
 def view_angles(T_cam_body: ArrayLike) -> np.ndarray:
     """(n,) angles between where markers face and where the camera is, seen from them, rad.
 
@@ -111,7 +93,7 @@ def view_angles(T_cam_body: ArrayLike) -> np.ndarray:
     InputError
         If it is not an array of rigid transforms, or a marker is at the camera's origin.
     """
-    T = checked_poses("T_cam_body", T_cam_body)
+    T = checked_transforms("T_cam_body", T_cam_body)
     distance = np.linalg.norm(T[:, :3, 3], axis=1)
     if (distance == 0).any():
         raise InputError("T_cam_body: expected markers in front of the camera, got one at its origin")

@@ -8,10 +8,11 @@ from scipy.spatial.transform import Rotation
 
 from study.errors import InputError
 from study.guidance.frames import checked_transform, inverse, rigid
-from study.guidance.tracker.markers import MarkerBody, checked_poses, facing_pose
+from study.guidance.tracker.markers import MarkerBody, facing_pose
 from study.guidance.tracker.tracker import Tracker
 from study.registration.rigid import checked_points
 from study.registration.sources import checked_vector
+from study.transforms import checked_transforms
 
 #: How far a hand turns a pointer away from the camera, rad: some 20 degrees.
 TILT = np.radians(20.0)
@@ -73,7 +74,7 @@ def touch(
     tip = checked_transform("T_pointer_tip", T_pointer_tip)[:3, 3]
     error = checked_vector("tip_error_mm", tip_error_mm, "mm")
     refs = np.asarray(T_cam_ref, dtype=float)
-    refs = checked_poses("T_cam_ref", refs[None] if refs.ndim == 2 else refs)
+    refs = checked_transforms("T_cam_ref", refs[None] if refs.ndim == 2 else refs)
     if len(refs) not in (1, len(points)):
         raise InputError(f"T_cam_ref: expected one pose or {len(points)}, one a point, got {len(refs)}")
     for name, value in (("seating_std_mm", seating_std_mm), ("tilt_rad", tilt_rad)):

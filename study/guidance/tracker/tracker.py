@@ -6,9 +6,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from study.errors import InputError
-from study.guidance.tracker.markers import MarkerBody, checked_poses
+from study.guidance.tracker.markers import MarkerBody
 from study.guidance.tracker.settings import TrackerSettings
 from study.registration.rigid import checked_points
+from study.transforms import checked_transforms
 
 
 class Tracker:
@@ -76,7 +77,7 @@ class Tracker:
         InputError
             If a pose is not rigid.
         """
-        spheres = body.placed(checked_poses("T_cam_body", T_cam_body))
+        spheres = body.placed(checked_transforms("T_cam_body", T_cam_body))
         return body.fitted(spheres + self._misplaced(spheres))
 
     def pose_covariance(self, body: MarkerBody, T_cam_body: ArrayLike) -> np.ndarray:
@@ -99,7 +100,7 @@ class Tracker:
         InputError
             If a pose is not rigid.
         """
-        T = checked_poses("T_cam_body", T_cam_body)
+        T = checked_transforms("T_cam_body", T_cam_body)
         R = T[:, :3, :3]
         across = np.swapaxes(R, 1, 2)
         # Jitter in the body's axes; there the fit is the same for every pose.
@@ -140,7 +141,7 @@ class Tracker:
         if isinstance(samples, bool) or int(samples) != samples or samples < 1:
             raise InputError(f"samples: expected a whole number of at least 1, got {samples!r}")
         rng = np.random.default_rng(rng)
-        spheres = body.placed(checked_poses("T_cam_body", T_cam_body))
+        spheres = body.placed(checked_transforms("T_cam_body", T_cam_body))
         jitter = rng.standard_normal(spheres.shape) * self.settings.jitter_mm / np.sqrt(samples)
         poses = body.fitted(spheres + self._misplaced(spheres) + jitter)
         return self.rounded(poses) if samples == 1 else poses
