@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from study.errors import InputError
 from study.guidance.drilling import LoopSettings, drill_holes
 from study.guidance.frames import moved, rigid
 from study.guidance.scene import Phantom
@@ -118,6 +119,8 @@ def lateral_experiment(
     """
     rng = np.random.default_rng(rng)
     phantom = phantom or aluminium_block()
+    if np.abs(phantom.directions[:, :2]).max() > 1e-6:
+        raise InputError("phantom: expected holes along z of its frame, one is oblique")
     ready = set_up(system, phantom, rng)
     holes = drill_holes(ready, rng, settings)
     errors = np.array([[hole.error_at(0.0), hole.error_at(hole.length)] for hole in holes])

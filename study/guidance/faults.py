@@ -11,6 +11,15 @@ from study.errors import InputError
 
 #: Markers in the order of the loop's pictures.
 MARKERS = ("tool", "base", "patient")
+#: What tells one fault of each kind.
+_PARTS = {
+    "occluded": ("marker", "from", "to"),
+    "frozen": ("from", "to"),
+    "silent": ("from", "to"),
+    "spikes": ("time", "shift"),
+    "patient_moves": ("from", "to", "shift"),
+    "no_handshake": ("from", "to"),
+}
 
 
 @dataclass(frozen=True)
@@ -35,7 +44,8 @@ class Faults:
     Raises
     ------
     InputError
-        If a marker is unknown, a time is not finite or negative, or an interval ends before it begins.
+        If a fault is not told by what it should be, a marker is unknown, a time is not finite or negative, or
+        an interval ends before it begins.
     """
 
     occluded: Sequence[tuple[str, float, float]] = ()
@@ -46,6 +56,10 @@ class Faults:
     no_handshake: Sequence[tuple[float, float]] = ()
 
     def __post_init__(self) -> None:
+        for name, parts in _PARTS.items():
+            for one in getattr(self, name):
+                if not hasattr(one, "__len__") or len(one) != len(parts):
+                    raise InputError(f"{name}: expected ({', '.join(parts)}), got {one!r}")
         for marker, *_ in self.occluded:
             if marker not in MARKERS:
                 raise InputError(f"occluded: expected one of {', '.join(MARKERS)}, got {marker!r}")

@@ -112,12 +112,16 @@ def repeated(
     Raises
     ------
     InputError
-        If the count is not a positive whole number.
+        If the count, or the number of workers, is not a positive whole number, or `rng` is a generator.
     GuidanceError
         If every experiment was given up.
     """
     if isinstance(count, bool) or not isinstance(count, int | np.integer) or count < 1:
         raise InputError(f"count: expected a whole number of at least 1, got {count!r}")
+    if workers is not None and (isinstance(workers, bool) or not isinstance(workers, int) or workers < 1):
+        raise InputError(f"workers: expected a whole number of at least 1, got {workers!r}")
+    if isinstance(rng, np.random.Generator):
+        raise InputError("rng: expected a seed, which tells the experiments' own, got a generator")
     seeds = rng if isinstance(rng, np.random.SeedSequence) else np.random.SeedSequence(rng)
     # Fresh, so that asking twice draws the same.
     children = np.random.SeedSequence(seeds.entropy, spawn_key=seeds.spawn_key).spawn(count)

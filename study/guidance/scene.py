@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from study.errors import InputError
 from study.guidance.frames import checked_transform, inverse, moved, rigid
 from study.guidance.tracker import MarkerBody, facing_pose
-from study.registration.rigid import checked_fiducials
+from study.registration.rigid import checked_fiducials, checked_points
 from study.registration.sources import checked_vector
 
 
@@ -49,7 +49,7 @@ def facing_orientation(axis: np.ndarray, towards: np.ndarray, T_tool_tcp: np.nda
     facing = np.hypot(marker[0], marker[1])
     across = towards - (towards @ axis) * axis
     length = np.linalg.norm(across)
-    if facing < 1e-6 or length < 1e-6 * np.linalg.norm(towards):
+    if not (facing > 1e-6 and length > 1e-6 * np.linalg.norm(towards)):
         raise InputError("expected a camera beside the drill's axis and a marker that does not face along it")
     # Turn the tcp so that the marker's direction across the axis meets the camera's.
     x = across / length
@@ -90,17 +90,16 @@ class Phantom:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "spheres", checked_fiducials("spheres", self.spheres))
-        entries, targets = (np.atleast_2d(np.array(p, dtype=float)) for p in (self.entries, self.targets))
-        if entries.shape != targets.shape or entries.shape[1:] != (3,) or not len(entries):
+        entries = checked_points("entries", np.atleast_2d(self.entries))
+        targets = checked_points("targets", np.atleast_2d(self.targets))
+        if len(entries) != len(targets):
             raise InputError(
-                f"entries, targets: expected two arrays (m, 3), got {entries.shape} and {targets.shape}"
+                f"entries, targets: expected as many of both, got {len(entries)} and {len(targets)}"
             )
-        if not (np.isfinite(entries).all() and np.isfinite(targets).all()):
-            raise InputError("entries, targets: expected finite numbers in mm")
         if (np.linalg.norm(targets - entries, axis=1) < 1e-6).any():
             raise InputError("entries, targets: expected holes of some length, one ends where it begins")
-        if not self.beyond_mm >= 0:
-            raise InputError(f"beyond_mm: expected at least 0 mm, got {self.beyond_mm!r}")
+        if not 0 <= self.beyond_mm < np.inf:
+            raise InputError(f"beyond_mm: expected a finite number of at least 0 mm, got {self.beyond_mm!r}")
         object.__setattr__(self, "entries", entries)
         object.__setattr__(self, "targets", targets)
         object.__setattr__(self, "T_rob_img", checked_transform("T_rob_img", self.T_rob_img))
@@ -156,6 +155,9 @@ class Scene:
     def __post_init__(self) -> None:
         for name in ("camera", "looks_at", "patient_marker", "base_marker", "calibration_place"):
             object.__setattr__(self, name, checked_vector(name, getattr(self, name), "mm"))
+        for name in ("marker_size_mm", "tip_lever_mm", "flange_mm", "mount_mm", "mount_tilt_deg"):
+            if not np.isfinite(getattr(self, name)):
+                raise InputError(f"{name}: expected a finite number, got {getattr(self, name)!r}")
 
     @cached_property
     def T_rob_cam(self) -> np.ndarray:

@@ -16,6 +16,7 @@ from scipy import stats
 
 from study.errors import FileFormatError, InputError
 from study.paths import data_path
+from study.robots.arms import arm_names
 
 SYSTEMS = ("hannover", "vanderbilt")
 _COLUMNS = ["cause", "unit", *SYSTEMS, "low", "high", "known", "source"]
@@ -63,7 +64,8 @@ class GuidedSystem:
     Raises
     ------
     InputError
-        If a cause is negative, not finite, or zero where that has no meaning.
+        If there is no such arm or way of calibration, or a cause is negative, not finite, or zero where that
+        has no meaning.
     """
 
     name: str
@@ -106,6 +108,8 @@ class GuidedSystem:
     scan_reading_mm: float
 
     def __post_init__(self) -> None:
+        if self.arm not in arm_names():
+            raise InputError(f"arm: expected one of {', '.join(arm_names())}, got {self.arm!r}")
         if self.calibration not in ("bits", "pivot"):
             raise InputError(f"calibration: expected 'bits' or 'pivot', got {self.calibration!r}")
         for name in cause_names():
@@ -119,8 +123,10 @@ class GuidedSystem:
             if value < 0 or (value == 0 and name in _POSITIVE):
                 least = "more than 0" if name in _POSITIVE else "at least 0"
                 raise InputError(f"{name}: expected {least}, got {value!r}")
-            if name in _WHOLE and value != int(value):
-                raise InputError(f"{name}: expected a whole number, got {value!r}")
+            if name in _WHOLE:
+                if value != int(value):
+                    raise InputError(f"{name}: expected a whole number, got {value!r}")
+                object.__setattr__(self, name, int(value))
 
     def but(self, **changes: float | str) -> GuidedSystem:
         """The same system with some causes changed.

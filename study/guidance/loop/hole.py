@@ -52,8 +52,8 @@ class DrilledHole:
 
     @property
     def end(self) -> Status:
-        """How it ended."""
-        return Status(int(self.status[-1]))
+        """How it ended, as far as it is."""
+        return Status(int(self.status[-1])) if len(self.status) else Status.RUNNING
 
     @property
     def along(self) -> np.ndarray:
