@@ -53,6 +53,16 @@ def test_every_error_has_a_row_and_larger_ones_touch_more(plans):
     assert len(points) == 2 * len(rows)
 
 
+def test_more_holes_know_the_tail_better(plans):
+    plan = plans[0]["simulated Vanderbilt"]
+    widths = []
+    for count in (20, 2000):
+        low, high = page.fitted_range(plan, NormalErrors(0.2, 0.2).sample(count, 1))
+        assert 0 <= low < high <= 1
+        widths.append(np.log(high / low))
+    assert widths[1] < widths[0] / 3
+
+
 def test_errors_fitted_to_image_axes_come_back_in_image_axes(plans):
     plan = plans[0]["simulated Hannover"]
     found = plans[1]["hannover"].values.mean(axis=0)

@@ -1,5 +1,7 @@
 """Linear access to the cochlea: which line is planned, and how accurate a robot it needs."""
 
+import json
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -224,6 +226,15 @@ def test_other_errors_on_the_same_hole_and_an_array_is_used_as_it_is():
     for wrong in (None, "hannover", NormalErrors, np.zeros((3, 3))):
         with pytest.raises(InputError, match="errors"):
             plan.with_errors(wrong)
+
+
+def test_a_plan_opens_in_slicer_as_a_line(tmp_path):
+    plan = planned()
+    plan.to_markups(tmp_path / "hole.mrk.json")
+    (line,) = json.loads((tmp_path / "hole.mrk.json").read_text())["markups"]
+    assert (line["type"], line["coordinateSystem"]) == ("Line", "LPS")
+    places = [point["position"] for point in line["controlPoints"]]
+    np.testing.assert_array_equal(places, [plan.entry, plan.target])
 
 
 def test_verification_notices_a_changed_plan():

@@ -23,6 +23,7 @@ from study.guidance.access import (
     LineErrors,
     NormalErrors,
     collision_probability,
+    drill_axes,
     plan_access,
     printed_absolute,
     printed_lateral,
@@ -31,7 +32,7 @@ from study.guidance.access import (
     structure_points,
     to_drill_axes,
 )
-from study.guidance.access.collision import distances_from_line
+from study.guidance.access.collision import distances_from_line, moments, normal_probabilities
 from study.margins import GrowthSettings, grow_margin
 from study.specimens import catalogue, structure_mask
 from study.tables import Claim
@@ -44,6 +45,8 @@ NERVES = ("facial_nerve", "chorda_tympani")
 _ONE_PROCESS = 300
 #: mm: what is farther from the planned drill asks nothing of a robot that the nerves do not.
 _NEAR = 2.0
+#: Bootstrap sets of holes.
+_RESAMPLED = 400
 
 
 def anatomy_case(what: str) -> Case:
@@ -104,10 +107,47 @@ def error_rows(plans: Mapping[str, AccessPlan], holes: Mapping[str, Repeated]) -
         row["expected_damage"] = plan.expected_damage
         row["too_probable"] = ", ".join(plan.too_probable) or "none"
         found = holes.get(name.removeprefix("simulated ").lower())
+        if found:
+            low, high = fitted_range(plan, to_drill_axes(found.values, plan.entry, plan.target))
+            row |= {"facial_nerve_fit_low": low, "facial_nerve_fit_high": high}
         row["simulated_holes"] = len(found.values) if found else 0
         row["stopped_by_the_robot"] = len(found.aborted) if found else 0
         rows.append(row)
     return pd.DataFrame(rows).set_index("errors")
+
+
+def fitted_range(
+    plan: AccessPlan, errors: np.ndarray, structure: str = "facial_nerve"
+) -> tuple[float, float]:
+    """95 % of the probabilities that other sets of as many simulated holes would have led to.
+
+    By the bootstrap over holes, each set's probability by normal theory.
+
+    Parameters
+    ----------
+    plan : AccessPlan
+    errors : (n, 2, 3) array
+        mm at entry and target of the simulated holes, axes of the drill.
+    structure : str
+    """
+    rng = np.random.default_rng(0)
+    voxels = plan.around.keep[structure]
+    nearest = voxels[np.argmin(distances_from_line(voxels, plan.entry, plan.target))]
+    surface = plan.settings.drill_radius + plan.risks.voxel_reach
+    axes = drill_axes(plan.entry, plan.target)[None]
+    found = [
+        normal_probabilities(
+            nearest[None, None],
+            plan.entry[None],
+            plan.target,
+            *moments(errors[rng.integers(len(errors), size=len(errors))]),
+            surface,
+            axes,
+        ).item()
+        for _ in range(_RESAMPLED)
+    ]
+    low, high = np.percentile(found, [2.5, 97.5])
+    return float(low), float(high)
 
 
 def robot_points(rows: pd.DataFrame) -> pd.DataFrame:

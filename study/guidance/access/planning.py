@@ -8,6 +8,7 @@ simulated errors, the same ones for all.
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,6 +24,7 @@ from study.guidance.access.collision import (
     distances_from_line,
     moments,
 )
+from study.guidance.access.export import write_line
 from study.guidance.access.models import DrawnErrors, LineErrorModel, printed_absolute
 from study.guidance.access.settings import AccessSettings
 from study.guidance.access.structures import Surroundings, surroundings
@@ -141,6 +143,10 @@ class AccessPlan:
         model, drawn = _drawn(errors, self.settings.samples, rng)
         risks, reached = _simulated(self.around, self.entry, drawn, self.settings, self.risks.voxel_reach)
         return AccessPlan(**{**vars(self), "model": model, "risks": risks, "reached": reached})
+
+    def to_markups(self, path: str | os.PathLike[str]) -> None:
+        """Write entry and target as a line for 3D Slicer (``.mrk.json``), LPS mm."""
+        write_line(self, path)
 
     def verify(self) -> None:
         """Measure the planned drill anew, by all voxels of all structures.
