@@ -70,7 +70,11 @@ def test_errors_fitted_to_image_axes_come_back_in_image_axes(plans):
 
 
 def test_required_rows_are_of_what_is_near():
-    rows = page.required_rows(planned("TB14", 0.4))
+    plan = planned("TB14", 0.4)
+    rows = page.required_rows(plan, [1.2, plan.settings.drill_diameter, 6.0])
+    assert (rows["needed_with_1.2_mm"] > rows["needed_target_rms_mm"]).all()
+    assert (rows["needed_with_6_mm"] == 0).all()
+    assert f"needed_with_{plan.settings.drill_diameter:g}_mm" not in rows
     assert rows["planned_clearance_mm"].between(0, 2).all()
     assert rows["needed_target_rms_mm"].is_monotonic_increasing
     assert "facial_nerve" in rows.index

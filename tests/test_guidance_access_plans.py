@@ -228,6 +228,15 @@ def test_other_errors_on_the_same_hole_and_an_array_is_used_as_it_is():
             plan.with_errors(wrong)
 
 
+def test_a_thicker_drill_on_the_same_line_is_nearer_by_half_of_what_it_is_thicker():
+    plan = planned()
+    thick = plan.with_drill(2.0)
+    np.testing.assert_allclose(plan.risks.clearances - thick.risks.clearances, 0.25, atol=1e-9)
+    assert thick.risks.hits.sum() > plan.risks.hits.sum()
+    with pytest.raises(InputError, match="drill_diameter"):
+        plan.with_drill(-1.0)
+
+
 def test_a_plan_opens_in_slicer_as_a_line(tmp_path):
     plan = planned()
     plan.to_markups(tmp_path / "hole.mrk.json")

@@ -169,22 +169,31 @@ def robot_points(rows: pd.DataFrame) -> pd.DataFrame:
     )
 
 
-def required_rows(plan: AccessPlan) -> pd.DataFrame:
-    """How accurate a robot has to be for each structure within 2 mm, the most demanding first."""
-    rows = []
+def required_rows(plan: AccessPlan, diameters: Iterable[float] = ()) -> pd.DataFrame:
+    """How accurate a robot has to be for each structure within 2 mm, the most demanding first.
+
+    Parameters
+    ----------
+    plan : AccessPlan
+    diameters : iterable of float
+        mm, of other drills on the same line; 0 where they touch the structure even without an error.
+    """
     near = plan.clearances[(plan.clearances > 0) & (plan.clearances <= _NEAR)]
+    others = {mm: plan.with_drill(mm) for mm in diameters if mm != plan.settings.drill_diameter}
+    rows = []
     for structure in near.index:
         accepted = plan.around.acceptable[structure]
         found = required_std(plan, structure, accepted)
-        rows.append(
-            {
-                "structure": structure,
-                "accepted": accepted,
-                "planned_clearance_mm": plan.clearances[structure],
-                "needed_target_rms_mm": found.target_std,
-                "probability_there": found.estimate.risk,
-            }
-        )
+        row = {
+            "structure": structure,
+            "accepted": accepted,
+            "planned_clearance_mm": plan.clearances[structure],
+            "needed_target_rms_mm": found.target_std,
+            "probability_there": found.estimate.risk,
+        }
+        for mm, other in others.items():
+            row[f"needed_with_{mm:g}_mm"] = required_std(other, structure, accepted).target_std
+        rows.append(row)
     return pd.DataFrame(rows).set_index("structure").sort_values("needed_target_rms_mm")
 
 

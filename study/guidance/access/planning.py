@@ -9,14 +9,14 @@ simulated errors, the same ones for all.
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
 from study.errors import GuidanceError, InputError, PlanningError, TargetUnreachableError
-from study.guidance.access.axes import checked_errors, to_image_axes
+from study.guidance.access.axes import checked_errors, to_drill_axes, to_image_axes
 from study.guidance.access.candidates import Lines, fan, finer, lines_through_recess
 from study.guidance.access.collision import (
     CollisionRisks,
@@ -143,6 +143,19 @@ class AccessPlan:
         model, drawn = _drawn(errors, self.settings.samples, rng)
         risks, reached = _simulated(self.around, self.entry, drawn, self.settings, self.risks.voxel_reach)
         return AccessPlan(**{**vars(self), "model": model, "risks": risks, "reached": reached})
+
+    def with_drill(self, diameter: float) -> AccessPlan:
+        """The same hole and errors with a drill of another diameter, mm.
+
+        Raises
+        ------
+        InputError
+            If it is not positive.
+        """
+        settings = replace(self.settings, drill_diameter=diameter)
+        drawn = to_drill_axes(self.risks.errors, self.entry, self.target)
+        risks, reached = _simulated(self.around, self.entry, drawn, settings, self.risks.voxel_reach)
+        return AccessPlan(**{**vars(self), "settings": settings, "risks": risks, "reached": reached})
 
     def to_markups(self, path: str | os.PathLike[str]) -> None:
         """Write entry and target as a line for 3D Slicer (``.mrk.json``), LPS mm."""
