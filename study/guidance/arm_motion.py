@@ -16,8 +16,8 @@ REPEATABILITY_STDS = float(np.sqrt(8.0 / np.pi) + 3.0 * np.sqrt(3.0 - 8.0 / np.p
 
 
 def built_arm(system: GuidedSystem, rng: np.random.Generator) -> SixAxisArm:
-    """The system's arm as it was built, with joint zeros and link lengths a little off."""
-    errors = ArmErrors(system.joint_bias_mrad * 1e-3, system.link_error_mm)
+    """The system's arm as it was built, with joint zeros, links and axes a little off."""
+    errors = ArmErrors(system.joint_bias_mrad * 1e-3, system.link_error_mm, system.axis_error_mrad * 1e-3)
     return errors.built(arm(system.arm), rng)
 
 

@@ -83,6 +83,7 @@ class GuidedSystem:
     robot_repeatability_mm: float
     joint_bias_mrad: float
     link_error_mm: float
+    axis_error_mrad: float
     hand_eye_poses: int
     hand_eye_turn_deg: float
     robot_cycle_s: float
