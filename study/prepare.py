@@ -116,7 +116,7 @@ def warm_guidance() -> None:
     for room in (fusion, filters, access):
         room.warm()
     PoseController().step(np.eye(4), np.eye(4))
-    HoleRun(set_up(system("hannover"), aluminium_block(), rng=0), hole=0, rng=0).run(until_s=0.0)
+    HoleRun(set_up(system("hannover"), aluminium_block(), rng=0), hole=0, rng=0).run(until_s=0.1)
 
 
 def warm() -> None:
