@@ -274,7 +274,7 @@ class Reference:
                 self.orientation.begin(Rotation.from_matrix(measured[:3, :3]))
                 self.begun = True
         if self.begun:
-            gate, gate_turn = i.gates[1 if self.phase == ALIGN else 0]
+            gate, gate_turn = i.gates[self.phase]
             nis = self.position.step(measured[:3, 3], self.reported[:3], fresh, gate)
             turn = Rotation.from_matrix(measured[:3, :3])
             nis_turn = self.orientation.step(turn, self.reported[3:], fresh, gate_turn)

@@ -275,17 +275,17 @@ def run(s, inputs, w, first, ticks, out):
                 if not s.flags[0]:
                     _begin(s, inputs, w)
             if s.flags[0]:
-                finding = 1 if s.counts[3] == _ALIGN else 0
+                phase = s.counts[3]
                 nis = fuse_position(
                     s.x, s.cov, dt, inputs.process[0], inputs.measurement[0], inputs.measurement[1, 0],
-                    w.p1, s.reported[:3], fresh, inputs.gates[finding, 0], w.fusing,
+                    w.p1, s.reported[:3], fresh, inputs.gates[phase, 0], w.fusing,
                 )  # fmt: skip
                 turned = fuse_orientation(
                     s.turns, s.spin, s.cov_turn, dt, inputs.process[1], inputs.measurement[2],
-                    inputs.measurement[3, 0], w.q1, s.reported[3:], fresh, inputs.gates[finding, 1], w.fusing,
+                    inputs.measurement[3, 0], w.q1, s.reported[3:], fresh, inputs.gates[phase, 1], w.fusing,
                 )  # fmt: skip
                 if fresh:
-                    bad = nis > inputs.gates[finding, 0] or turned > inputs.gates[finding, 1]
+                    bad = nis > inputs.gates[phase, 0] or turned > inputs.gates[phase, 1]
                     s.counts[5] = s.counts[5] + 1 if bad else 0
                     if s.counts[5] >= inputs.most_outliers and s.status[0] == RUNNING:
                         s.status[0] = OUTLIERS

@@ -97,7 +97,7 @@ class Inputs(NamedTuple):
     patient_thresholds: np.ndarray
     process: np.ndarray  # (2, 2) variances a step: position and velocity, rotation and angular velocity
     measurement: np.ndarray  # (4, 3) variances of position, velocity, rotation and angular velocity
-    gates: np.ndarray  # (2, 2) largest NIS that is used: drilling, finding the line; position, orientation
+    gates: np.ndarray  # (4, 2) largest NIS that is used in each phase, of position and orientation
     tick: float
     lag: float
     quantum: float

@@ -202,14 +202,18 @@ class HoleRun:
         )
 
     def _gates(self, fusion: FusionSettings) -> np.ndarray:
-        """(2, 2) largest NIS while drilling and while finding the line, of position and orientation.
+        """(4, 2) largest NIS that is used in each phase, of position and orientation.
 
-        On its way to the line the arm is fast, and how late its encoders are looks like an error.
+        Where the arm changes its speed, how late its encoders are looks like an error, the more so the better
+        the tracker is. As much of it as the speed of the phase makes is let pass.
         """
-        root = np.sqrt(fusion.largest_nis)
+        speed = self.ready.system.insertion_mm_s
+        speeds = np.array(
+            [self.settings.control.most, [speed, 0], [speed, 0], [speed * self.settings.retraction, 0]]
+        )
         late = 2.0 * self.ready.system.robot_cycle_s + fusion.sample_s
         stds = np.array([min(fusion.position_mm), min(fusion.rotation_rad)])
-        return np.square([[root, root], root + self.settings.control.most * late / stds])
+        return np.square(np.sqrt(fusion.largest_nis) + speeds * late / stds)
 
     def _wandering(self, steps: int, rng: np.random.Generator) -> np.ndarray:
         """(steps, 3) error of the arm's repeatability, which changes slowly and no encoder sees, mm."""
