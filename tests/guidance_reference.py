@@ -73,6 +73,12 @@ class Kalman:
     def restart(self):
         self.P = self.first_P
 
+    def forget(self, std):
+        """All poses may be elsewhere, by the same."""
+        everywhere = np.tile(ONE, (self.lags + 1, 1)) * std
+        self.P = self.P.copy()
+        self.P[:-3, :-3] += everywhere @ everywhere.T
+
     def predict(self):
         self.P = self.A @ self.P @ self.A.T + self.Q
 
@@ -179,7 +185,10 @@ class Reference:
     def resume(self):
         self.linear.integral, self.angular.integral = np.zeros(3), np.zeros(3)
         self.missing = self.repeated = self.refused = 0
-        if self.status in (OUTLIERS, PATIENT_MOVED, OFF_LINE):
+        if self.status == OUTLIERS:
+            self.position.forget(1000.0)
+            self.orientation.forget(1.0)
+        if self.status in (PATIENT_MOVED, OFF_LINE):
             self.begun = False
             self.position.restart()
             self.orientation.restart()

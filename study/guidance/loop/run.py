@@ -26,6 +26,8 @@ from study.guidance.setting_up import SetUp
 _PATIENCE = 2.0
 #: Depth within which a burr that slipped on the surface finds back, mm.
 _SLIP_MM = 3.0
+#: What is known of a pose that is not believed: mm and rad, one standard deviation.
+_ANYWHERE_MM, _ANYWHERE_RAD = 1000.0, 1.0
 #: For so long a robot that stopped is watched, s.
 _WATCHED_S = 2.0
 #: Longest step of the arm's motion, ms.
@@ -307,8 +309,9 @@ class HoleRun:
     def resume(self) -> None:
         """Tell a stopped robot to go on.
 
-        Where it could not believe what it saw, it looks anew: patient, base and drill are where the next
-        picture says.
+        Where it could not believe what it saw, it looks anew: after outliers the drill is where the next
+        picture says; after a patient who moved, or a tip off its line, patient and base are so too. If the tip
+        is then still off its line in the bone, the robot stops again.
 
         Raises
         ------
@@ -320,7 +323,11 @@ class HoleRun:
         self._state.integral[:] = 0.0
         for row in (1, 2, 5):
             self._state.counts[row] = 0
-        if self.status in (Status.OUTLIERS, Status.PATIENT_MOVED, Status.OFF_LINE):
+        if self.status is Status.OUTLIERS:
+            # All poses that the fusion remembers are as unknown, and alike: the next picture tells them.
+            self._state.cov[:, :-1, :-1] += _ANYWHERE_MM**2
+            self._state.cov_turn[:, :-1, :-1] += _ANYWHERE_RAD**2
+        elif self.status in (Status.PATIENT_MOVED, Status.OFF_LINE):
             self._state.flags[0] = False
             self._state.cov[:], self._state.cov_turn[:] = self._fusion.first_covariances()
         self._state.status[0] = Status.RUNNING
