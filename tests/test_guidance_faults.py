@@ -91,9 +91,8 @@ def stops_in_time(name, faults, at, status, shift=(0.0, 0.0, 0.0)):
     assert 0 <= stopped - at <= noticed_s(name, status)
     assert (hole.status[hole.time_s < stopped] == Status.RUNNING).all()
     # In the room, which a patient who moves leaves behind.
-    seen = robot.tracker_cycle_s * np.ceil(
-        at / robot.tracker_cycle_s - 1e-9
-    )  # the log moves him with a picture
+    # The log moves him with the next picture.
+    seen = robot.tracker_cycle_s * np.ceil(at / robot.tracker_cycle_s - 1e-9)
     moved = np.outer(hole.time_s >= seen - 1e-9, run.ready.phantom.T_rob_img[:3, :3].T @ shift)
     tip = hole.tip + moved
     since = hole.time_s >= at - robot.tracker_cycle_s
@@ -112,11 +111,14 @@ def stops_in_time(name, faults, at, status, shift=(0.0, 0.0, 0.0)):
     return run
 
 
-def goes_on_well(run, name):
+def goes_on_well(run, name, commands=1):
     """Told to go on it ends the hole, as good as without the fault."""
-    run.resume()
-    assert run.status is Status.RUNNING
-    assert run.run() is Status.DONE
+    for _ in range(commands):
+        run.resume()
+        assert run.status is Status.RUNNING
+        if run.run() is Status.DONE:
+            break
+    assert run.status is Status.DONE
     hole, usual = run.result, faultless(name)
     for depth, size in zip(DEPTHS, noise(name), strict=True):
         # Other noise comes by, and two holes differ by more than one.
@@ -166,7 +168,8 @@ def test_three_outliers_in_a_row(name, at, direction, size):
     cycle = system(name).tracker_cycle_s
     at = cycle * round(at / cycle)
     spikes = [(at + k * cycle, of_length(direction, size)) for k in range(3)]
-    goes_on_well(stops_in_time(name, Faults(spikes=spikes), at, Status.OUTLIERS), name)
+    # It looks anew; one noisy picture in a hundred tells it that it is off its line.
+    goes_on_well(stops_in_time(name, Faults(spikes=spikes), at, Status.OUTLIERS), name, commands=3)
 
 
 @settings(deadline=None, max_examples=12)
