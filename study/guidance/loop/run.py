@@ -310,8 +310,8 @@ class HoleRun:
         """Tell a stopped robot to go on.
 
         Where it could not believe what it saw, it looks anew: after outliers the drill is where the next
-        picture says; after a patient who moved, or a tip off its line, patient and base are so too. A tip that
-        is still off its line in the bone stops the robot again.
+        picture says; after a patient who moved, or a tip off its line, patient and base are so too. A tip
+        that is still off its line in the bone stops the robot again.
 
         Raises
         ------
