@@ -89,7 +89,9 @@ def _histogram(axes: Axes, values: np.ndarray, reach: float, orientation: str) -
 
 
 @styled()
-def bands_chart(table: pd.DataFrame, conditions: Mapping[str, Sequence[Condition]], across: str = "mm") -> Figure:
+def bands_chart(
+    table: pd.DataFrame, conditions: Mapping[str, Sequence[Condition]], across: str = "mm"
+) -> Figure:
     """Printed numbers, those of one virtual experiment, and the bands of many.
 
     Parameters
