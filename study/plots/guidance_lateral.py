@@ -20,6 +20,8 @@ from study.tables import heading
 #: Of conditions in their order; they differ in lightness too.
 CONDITION_COLOURS = ("#0055a4", "#f2a024", "#2e9e3f")
 _ELLIPSES = (("#555555", ":"), ("#0055a4", "-"), ("#c8322d", "--"))
+#: Breadth of a histogram over the side of its scatter plot.
+_STRIP = 0.28
 _DOT, _MEAN, _PRINT = "#4a4f57", "#d1372c", "#111111"
 
 
@@ -38,7 +40,7 @@ def lateral_scatter(result: LateralResult, factors: Mapping[str, float], title: 
     most = max(factors.values())
     reach = max(np.abs(d.mean(axis=0)).max() + most * d.std(axis=0, ddof=1).max() for d in sides) * 1.08
     figure = new_figure((10.4, 6.0))
-    grid = figure.add_gridspec(2, 4, width_ratios=(4, 1.1, 4, 1.1), height_ratios=(1.1, 4))
+    grid = figure.add_gridspec(2, 4, width_ratios=(1, _STRIP, 1, _STRIP), height_ratios=(_STRIP, 1))
     for column, (name, d) in enumerate(zip(("top", "bottom"), sides, strict=True)):
         axes = figure.add_subplot(grid[1, 2 * column])
         above = figure.add_subplot(grid[0, 2 * column], sharex=axes)
@@ -46,6 +48,10 @@ def lateral_scatter(result: LateralResult, factors: Mapping[str, float], title: 
         _scatter(axes, d, factors, reach)
         _histogram(above, d[:, 0], reach, "vertical")
         _histogram(beside, d[:, 1], reach, "horizontal")
+        above.set_box_aspect(_STRIP)
+        above.set_anchor("S")
+        beside.set_box_aspect(1 / _STRIP)
+        beside.set_anchor("W")
         above.set_title(f"{title}, {name} side")
     handles = [
         Line2D([], [], marker="o", ls="", ms=4, color=_DOT, label="hole"),
