@@ -1,0 +1,88 @@
+"""What the notebooks on the guided robot compute: Table 1, bands, comparisons, variants."""
+
+import numpy as np
+import pytest
+
+from study.errors import InputError
+from study.experiments.guidance_bands import compare, prediction_band
+from study.experiments.guidance_design import NOT_HERE, improvements, limit_mm
+from study.experiments.guidance_lateral import QUANTITIES, cause_title, factors, hole_statistics, printed
+from study.experiments.guidance_variants import Variant, jackknife, lateral_runs, radius_999, upper_bound
+from study.guidance import SYSTEMS, causes, system
+
+RNG = np.random.default_rng(0)
+
+
+def test_statistics_of_holes_are_those_of_numpy():
+    d = RNG.normal([0.3, -0.1], [0.1, 0.2], (24, 2))
+    found = dict(zip(QUANTITIES, hole_statistics(d), strict=True))
+    axes = np.linalg.svd(d - d.mean(axis=0), compute_uv=False) / np.sqrt(23)
+    assert found["mean_y_mm"] == pytest.approx(np.mean(d[:, 1]))
+    assert found["std_x_mm"] == pytest.approx(np.std(d[:, 0], ddof=1))
+    assert [found["std_major_axis_mm"], found["std_minor_axis_mm"]] == pytest.approx(axes)
+    region = factors()["one dimension"] * axes[0]
+    assert found["mean_plus_confidence_max_mm"] == pytest.approx(np.hypot(*d.mean(axis=0)) + region)
+
+
+def test_printed_sums_follow_from_the_printed_row():
+    for name in SYSTEMS:
+        for row in printed(name):
+            assert row[7] == pytest.approx(np.hypot(row[0], row[1]) + row[6], abs=0.0011)
+
+
+def test_factors_hold_what_they_say():
+    k = factors()
+    assert k["one dimension"] < k["two dimensions"] < k["one hole more"]
+    radii = np.linalg.norm(RNG.normal(size=(400_000, 2)), axis=1)
+    assert np.mean(radii > k["two dimensions"]) == pytest.approx(1e-3, abs=2e-4)
+
+
+@pytest.mark.parametrize("n", [20, 39, 200])
+def test_a_band_covers_one_more_as_often_as_it_says(n):
+    draws = RNG.normal(size=(n + 1, 4000))
+    low, high, coverage = prediction_band(draws[:-1])
+    share = np.mean((draws[-1] >= low) & (draws[-1] <= high))
+    assert share == pytest.approx(coverage, abs=0.02)
+    assert coverage >= 0.95 or n < 39
+
+
+def test_a_print_from_the_model_is_as_unusual_as_chance():
+    unusual = []
+    for _ in range(300):
+        draws = RNG.normal(size=(60, 6)) + RNG.normal(size=(60, 1))
+        unusual.append(compare(draws[0], draws[1:]).as_unusual)
+    assert np.mean(np.array(unusual) <= 0.1) <= 0.15
+    far = compare(np.full(6, 9.0), RNG.normal(size=(60, 6)))
+    assert not far.inside.any()
+    assert far.as_unusual == pytest.approx(1 / 61)
+
+
+def test_bad_numbers_are_refused():
+    with pytest.raises(InputError):
+        compare([0.0, np.nan], np.zeros((5, 2)))
+    with pytest.raises(InputError):
+        hole_statistics(np.zeros((2, 2)))
+
+
+def test_radius_and_jackknife_of_a_known_normal():
+    errors = 0.1 * RNG.normal(size=(2000, 2, 2))
+    radius, half = jackknife(radius_999, errors)
+    assert radius == pytest.approx(0.1 * factors()["two dimensions"], abs=2 * half)
+    assert upper_bound(0, 2995) <= 1e-3 < upper_bound(0, 2990)
+
+
+def test_variants_share_their_luck_and_improvements_are_in_range():
+    runs = lateral_runs(system("vanderbilt"), [Variant("a"), Variant("b")], 2)
+    assert np.array_equal(runs.of(0), runs.of(1))
+    table = causes()
+    for one in improvements().values():
+        for cause, value in one.changes.items():
+            assert cause not in NOT_HERE
+            assert table.loc[cause, "low"] <= value <= table.loc[cause, "high"]
+    assert limit_mm() == 0.5
+
+
+def test_causes_in_words():
+    assert cause_title("insertion_mm_s", "mm/s") == "insertion"
+    assert cause_title("calibration_force_n", "N") == "calibration force"
+    assert cause_title("touches", "1") == "touches"
