@@ -86,3 +86,12 @@ def test_causes_in_words():
     assert cause_title("insertion_mm_s", "mm/s") == "insertion"
     assert cause_title("calibration_force_n", "N") == "calibration force"
     assert cause_title("touches", "1") == "touches"
+
+
+def test_too_few_experiments_say_nothing():
+    errors = np.random.default_rng(0).normal(size=(4, 2, 2))
+    assert np.isnan(jackknife(radius_999, errors[:2])).all()
+    radius, half = jackknife(radius_999, errors[:3])
+    assert radius == radius_999(errors[:3])
+    assert np.isnan(half)
+    assert np.isfinite(jackknife(radius_999, errors)).all()

@@ -91,11 +91,11 @@ def sensitivity(experiments: int, name: str = "vanderbilt", seed: int = 3) -> pd
                 "unit": table.loc[cause, "unit"],
                 "end": variant.name.rsplit(" ", 1)[1],
                 "value": value,
-                "radius_mm": radius_999(errors),
+                "radius_mm": jackknife(radius_999, errors)[0],
                 "change_mm": change,
                 "plus_minus_mm": half,
-                "rms_mm": rms(errors),
-                "within_mm": float(np.sqrt(errors.var(axis=1, ddof=1).mean())),
+                "rms_mm": rms(errors) if len(errors) else np.nan,
+                "within_mm": float(np.sqrt(errors.var(axis=1, ddof=1).mean())) if len(errors) else np.nan,
                 "aborted": runs.aborted(k),
             }
         )
@@ -145,7 +145,7 @@ def design_search(
                 "aborted": stated.aborted(0) + drawn.aborted(0),
             }
         )
-        done = radius + half < limit_mm() and beyond == 0
+        done = radius + half < limit_mm() and beyond == 0  # never, where they are not a number
         if done or not left or len(rows) > most_steps:
             return pd.DataFrame(rows), together("design", taken, base)
         best = min(range(1, len(tried)), key=lambda k: rms(drawn.of(k)))

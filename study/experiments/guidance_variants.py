@@ -28,6 +28,9 @@ from study.guidance.repeated import repeated
 #: Parts of the experiments that are left out in turn for standard errors.
 _GROUPS = 20
 
+#: Experiments below which a radius means nothing.
+_LEAST = 3
+
 
 @dataclass(frozen=True)
 class Variant:
@@ -144,7 +147,7 @@ def radius_999(errors: np.ndarray) -> float:
         Of three experiments or more, mm.
     """
     errors = np.asarray(errors, dtype=float)
-    if errors.ndim != 3 or errors.shape[2] != 2 or len(errors) < 3:
+    if errors.ndim != 3 or errors.shape[2] != 2 or len(errors) < _LEAST:
         raise InputError(f"errors: expected (3 or more, holes, 2), got {errors.shape}")
     pool = errors.reshape(-1, 2)
     return radial_quantile(pool.mean(axis=0), np.cov(pool.T))
@@ -163,9 +166,12 @@ def jackknife(statistic, *samples: np.ndarray, confidence: float = 0.95) -> tupl
     statistic : callable
         Of the samples.
     *samples : (n, ...) arrays
-        Experiments along the first axis, those of one row left out together.
+        Experiments along the first axis, those of one row left out together. Fewer than four tell no
+        interval, fewer than three nothing: not a number then.
     """
     n = len(samples[0])
+    if n < _LEAST + 1:
+        return float(statistic(*samples)) if n == _LEAST else np.nan, np.nan
     groups = min(_GROUPS, n)
     part = np.arange(n) % groups
     left = np.array([statistic(*(s[part != g] for s in samples)) for g in range(groups)])
