@@ -176,7 +176,7 @@ class Reference:
         cycle = i.tick * i.every_command
         self.linear = PI(i.gains[0], i.gains[1], i.most[0], cycle)
         self.angular = PI(i.gains[2], i.gains[3], i.most[1], cycle)
-        self.begun = False
+        self.begun, self.rate = False, 0.0
         self.pictures, self.arrived = {}, None
         self.missing = self.repeated = self.refused = 0
         self.last = None
@@ -244,6 +244,11 @@ class Reference:
         return True
 
     def operate(self, step, dt):
+        before = self.depth
+        self.step_phase(step, dt)
+        self.rate = (self.depth - before) / dt if self.phase in (INSERT, BACK) else 0.0
+
+    def step_phase(self, step, dt):
         i = self.i
         if self.phase == ALIGN:
             self.steps_in_phase += 1
@@ -294,7 +299,7 @@ class Reference:
             T_img_tcp = transform(i.entry + self.depth * i.direction, i.img_tcp_q)
             T_rob_img = np.linalg.inv(self.base.T @ self.T_base_rob) @ self.patient.T @ self.T_pat_img
             self.wanted = T_rob_img @ T_img_tcp  # equation 6
-            line = T_rob_img[:3, :3] @ i.direction
+            line = self.line = T_rob_img[:3, :3] @ i.direction
             self.across = float(np.linalg.norm(np.cross(self.position.newest - self.wanted[:3, 3], line)))
             if self.status == RUNNING:
                 if self.across > i.off_line and self.depth > 0:
@@ -321,7 +326,8 @@ class Reference:
             vector = error.as_quat(canonical=True)[:3]
             self.pending = np.concatenate(
                 [
-                    self.linear.step(self.wanted[:3, 3] - self.position.newest),
+                    self.linear.step(self.wanted[:3, 3] - self.position.newest)
+                    + i.feed_forward * self.rate * self.line,
                     self.angular.step(2.0 * vector),
                 ]
             )

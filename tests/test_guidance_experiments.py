@@ -1,5 +1,7 @@
 """What each cause does to a hole, and the virtual experiments as wholes."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from guidance_cases import NOISELESS, only
@@ -288,3 +290,23 @@ def test_any_plausible_robot_ends_done_or_stopped(seed, name):
     assert np.isfinite(run._log[:, 10]).all()
     if run.status is Status.DONE:
         assert np.isfinite(hole.error_at(hole.length - 1.0)).all()
+
+
+@pytest.mark.parametrize("name", ["hannover", "vanderbilt"])
+def test_a_drill_that_knows_its_speed_does_not_go_too_deep(name):
+    """PI alone, as the text has it, learns the speed of insertion and overruns the end by its integral."""
+    robot = only(name)
+    deep = {}
+    for share in (0.0, 1.0):
+        run = HoleRun(set_up(robot, aluminium_block(), 0), 0, 0, replace(NOISELESS, feed_forward=share))
+        assert run.run() is Status.DONE
+        hole = run.result
+        deep[share] = hole.along.max() - (hole.length + hole.beyond)
+    assert 0.3 < deep[0.0] < 0.6
+    assert -0.02 < deep[1.0] < 0.1
+
+
+def test_feed_forward_is_a_share():
+    for bad in (-0.1, 1.1, np.nan):
+        with pytest.raises(InputError, match="feed_forward"):
+            LoopSettings(feed_forward=bad)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from study.errors import InputError
+from study.experiments.guidance_absolute import overruns
 from study.experiments.guidance_bands import compare, prediction_band
 from study.experiments.guidance_design import NOT_HERE, improvements, limit_mm
 from study.experiments.guidance_lateral import QUANTITIES, cause_title, factors, hole_statistics, printed
@@ -95,3 +96,10 @@ def test_too_few_experiments_say_nothing():
     assert radius == radius_999(errors[:3])
     assert np.isnan(half)
     assert np.isfinite(jackknife(radius_999, errors)).all()
+
+
+def test_pi_alone_adds_to_the_targets_distance_only():
+    deep = overruns(2)
+    told, alone = deep["target_rms_mm"]
+    assert alone > told
+    assert abs(np.diff(deep["axis_rms_mm"]).item()) < 0.05

@@ -10,6 +10,7 @@ from study.experiments.guidance_bands import SUSPECTED_FORCE_N, compare, conditi
 from study.experiments.guidance_variants import Variant, absolute_runs, jackknife
 from study.guidance import (
     DrilledHole,
+    LoopSettings,
     Repeated,
     absolute_experiment,
     acrylic_block,
@@ -120,6 +121,26 @@ def shares(experiments: int, seed: int = 2) -> pd.DataFrame:
             share, half = jackknife(_share, values[:, 0, axis], values[:, k, axis])
             row |= {f"{kind}_pct": share, f"{kind}_plus_minus": half}
         rows.append({**row, "experiments": int(good.sum()), "aborted": runs.aborted(k)})
+    return pd.DataFrame(rows)
+
+
+def overruns(experiments: int, seed: int = 2) -> pd.DataFrame:
+    """Both distances with and without the speed of insertion told in advance, the same blocks.
+
+    Returns
+    -------
+    pandas.DataFrame
+        A row a way: ``control``, ``target_rms_mm``, ``axis_rms_mm``, ``experiments``.
+    """
+    rows = []
+    for share, title in ((1.0, "PI, and the speed told in advance"), (0.0, "PI alone, as the text has it")):
+        run = repeat_absolute(
+            system("vanderbilt"), experiments, seed, settings=LoopSettings(feed_forward=share)
+        )
+        target, axis = np.sqrt((run.values**2).mean(axis=(0, 2)))
+        rows.append(
+            {"control": title, "target_rms_mm": target, "axis_rms_mm": axis, "experiments": len(run.values)}
+        )
     return pd.DataFrame(rows)
 
 

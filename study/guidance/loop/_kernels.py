@@ -178,15 +178,18 @@ def _begin(s, inputs, w):
 def _operate(s, inputs, step, dt, across):
     """Advance the drill along its line as the operator asks, who waits while it is off the line."""
     phase = s.counts[3]
+    s.rate[0] = 0.0
     if phase == _ALIGN:
         s.counts[4] += 1
         if s.counts[4] * dt >= inputs.settle_s and across < inputs.wait_mm:
             s.counts[3] = _INSERT
     elif phase == _INSERT:
         if across < inputs.wait_mm:
-            s.depth[0] += inputs.speed * inputs.signal[step] * dt
+            s.rate[0] = inputs.speed * inputs.signal[step]
+            s.depth[0] += s.rate[0] * dt
         if s.depth[0] >= inputs.last_depth:
             s.depth[0] = inputs.last_depth
+            s.rate[0] = 0.0
             s.counts[3] = _STAY
             s.counts[4] = 0
     elif phase == _STAY:
@@ -194,7 +197,8 @@ def _operate(s, inputs, step, dt, across):
         if s.counts[4] * dt >= inputs.stay_s:
             s.counts[3] = _BACK
     else:
-        s.depth[0] -= inputs.speed_back * dt
+        s.rate[0] = -inputs.speed_back
+        s.depth[0] += s.rate[0] * dt
         if s.depth[0] <= inputs.first_depth:
             s.status[0] = DONE
 
@@ -324,5 +328,7 @@ def run(s, inputs, w, first, ticks, out):
                     w.p0[i] = s.wanted_p[i] - s.x[i, 0]
                 multiply_inverse(s.wanted_q, s.turns[0], w.q0)
                 steer(w.p0, w.q0, inputs.gains, inputs.most, cycle, s.integral, s.pending)
+                for i in range(3):
+                    s.pending[i] += inputs.feed_forward * s.rate[0] * s.line[i]
     s.across[0] = across
     return ticks

@@ -27,6 +27,7 @@ class State(NamedTuple):
     reported: np.ndarray  # (6,) twist by the encoders, arrived
     integral: np.ndarray  # (6,) of the controller
     depth: np.ndarray  # (1,) mm of the desired tip beyond the entry
+    rate: np.ndarray  # (1,) mm/s at which it goes on
     across: np.ndarray  # (1,) mm, estimated distance from the line
     x: np.ndarray  # (3, lags + 2) fusion of the position
     cov: np.ndarray  # (3, lags + 2, lags + 2)
@@ -105,6 +106,7 @@ class Inputs(NamedTuple):
     last_depth: float
     speed: float
     speed_back: float
+    feed_forward: float  # share of the desired tip's speed that is told in advance
     wait_mm: float
     settle_s: float
     stay_s: float
