@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from study.errors import InputError
-from study.experiments.guidance_absolute import overruns
+from study.experiments.guidance_absolute import absolute_table, counts, in_words, overruns
 from study.experiments.guidance_bands import compare, prediction_band
 from study.experiments.guidance_design import NOT_HERE, improvements, limit_mm
 from study.experiments.guidance_lateral import QUANTITIES, cause_title, factors, hole_statistics, printed
@@ -103,3 +103,13 @@ def test_pi_alone_adds_to_the_targets_distance_only():
     told, alone = deep["target_rms_mm"]
     assert alone > told
     assert abs(np.diff(deep["axis_rms_mm"]).item()) < 0.05
+
+
+def test_absolute_page_in_words():
+    table, runs = absolute_table(4)
+    counted = counts(runs)
+    inside = [int((table[f"{name}_inside"] == "yes").sum()) for name in runs]
+    assert counted["inside_of_4"].tolist() == inside
+    beyond = [100 * (run.values[:, 0] > 1.0).mean() for run in runs.values()]
+    assert counted["targets_beyond_1_mm_pct"].tolist() == pytest.approx(beyond)
+    assert "1.39 mm" in in_words(counted)  # of the print: 0.62 + 3.09 * 0.25
