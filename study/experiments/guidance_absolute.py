@@ -8,7 +8,7 @@ from scipy import stats
 
 from study import published
 from study.experiments.guidance_bands import SUSPECTED_FORCE_N, compare, conditions
-from study.experiments.guidance_variants import Variant, absolute_runs, jackknife
+from study.experiments.guidance_variants import Variant, absolute_runs, jackknife, upper_bound
 from study.guidance import (
     DrilledHole,
     LoopSettings,
@@ -95,6 +95,7 @@ def counts(runs: dict[str, Repeated], force_n: float = SUSPECTED_FORCE_N) -> pd.
         run = runs[one.name]
         found = compare(printed(), distance_statistics(run.values))
         far, half = _share_beyond(run.values[:, 0]), jackknife(_share_beyond, run.values[:, 0])[1]
+        half = half if far else np.nan  # none at all says nothing of the interval
         rows.append(
             {
                 "condition": one.title,
@@ -125,6 +126,8 @@ def in_words(counted: pd.DataFrame) -> str:
             f"{row.coverage_pct:.0f} %); {row.targets_beyond_1_mm_pct:.2g} % of targets are missed by more "
         )
         known = f"half width {row.plus_minus_pct:.2g} %" if np.isfinite(row.plus_minus_pct) else "no interval"
+        if not row.targets_beyond_1_mm_pct:  # whose half width would be 0
+            known = f"at most {100 * upper_bound(0, row.experiments):.2g} % of blocks have one, with 95 %"
         said += f"than 1 mm ({known}, from {row.experiments} blocks)."
         text.append(said)
     return "\n\n".join(text)
