@@ -30,6 +30,7 @@ from study.guidance.repeated import Repeated, on_the_table, repeat_absolute, rep
 from study.guidance.safety import SafetySettings, Status
 from study.guidance.scene import Phantom, Scene
 from study.guidance.setting_up import SetUp, set_up
+from study.guidance.spheres import register_spheres
 from study.guidance.systems import SYSTEMS, GuidedSystem, causes, system
 
 __all__ = [
@@ -55,6 +56,7 @@ __all__ = [
     "drill_holes",
     "lateral_experiment",
     "on_the_table",
+    "register_spheres",
     "repeat_absolute",
     "repeat_lateral",
     "set_up",

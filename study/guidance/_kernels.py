@@ -34,6 +34,19 @@ def multiply_inverse(a, b, out):
 
 
 @inner
+def inverse_multiply(a, b, out):
+    """Write a^-1 * b, a of unit length: b as a sees it. `out` may be a or b."""
+    w = a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3]
+    x = a[0] * b[1] - a[1] * b[0] - a[2] * b[3] + a[3] * b[2]
+    y = a[0] * b[2] + a[1] * b[3] - a[2] * b[0] - a[3] * b[1]
+    z = a[0] * b[3] - a[1] * b[2] + a[2] * b[1] - a[3] * b[0]
+    out[0] = w
+    out[1] = x
+    out[2] = y
+    out[3] = z
+
+
+@inner
 def turn(q, v, out):
     """Write the vector v turned by q. `out` may be v."""
     x = v[0]

@@ -54,19 +54,20 @@ def planned_and_drilled(holes: Sequence[DrilledHole], diameter_mm: float, shown:
     hole, (depths, middle) = holes[shown], middles[shown]
     off = middle - (hole.entry + depths[:, None] * hole.direction)
     for axis, line in ((0, "-"), (1, "--")):
-        ax.plot(off[:, axis], depths, color=_DRILLED, ls=line, label=f"drilled, {'xy'[axis]}")
+        ax.plot(off[:, axis], depths, color=_DRILLED, ls=line)
     ax.axvline(0, color=_PLAN, lw=1.2)
     end = hole.bottom - (hole.entry + hole.length * hole.direction)
     ax.plot(end[:2], [hole.length + end @ hole.direction] * 2, "o", ms=4, color=_DRILLED)
     ax.axhline(hole.length, color="#00000040", lw=0.8)
     ax.set(xlabel="off the plan (mm)", ylabel="along the plan (mm)", title=f"(c) hole {shown + 1}, enlarged")
     ax.invert_yaxis()
-    ax.legend(loc="best")
     handles = [
         Line2D([], [], color=_PLAN, ls="--", label="planned axis"),
         Line2D([], [], color=_DRILLED, label="drilled axis"),
         Patch(color=_HOLE, label="drilled hole"),
         Line2D([], [], marker="o", ls="", ms=8, color=_SPHERE, label="sphere"),
+        Line2D([], [], color=_DRILLED, label="(c) off in x"),
+        Line2D([], [], color=_DRILLED, ls="--", label="(c) off in y"),
     ]
-    legend_below(figure, handles, 4)
+    legend_below(figure, handles, 6)
     return figure

@@ -7,6 +7,7 @@ from math import exp, floor, sqrt
 from study._compiled import inner, threaded
 from study.guidance._kernels import (
     exponential,
+    inverse_multiply,
     multiply,
     multiply_inverse,
     normalise,
@@ -49,18 +50,7 @@ def _seen_from(p, q, base_p, base_q, out_p, out_q):
     for i in range(3):
         out_p[i] = p[i] - base_p[i]
     turn_back(base_q, out_p, out_p)
-    w = base_q[0]
-    x = -base_q[1]
-    y = -base_q[2]
-    z = -base_q[3]
-    a = w * q[0] - x * q[1] - y * q[2] - z * q[3]
-    b = w * q[1] + x * q[0] + y * q[3] - z * q[2]
-    c = w * q[2] - x * q[3] + y * q[0] + z * q[1]
-    d = w * q[3] + x * q[2] - y * q[1] + z * q[0]
-    out_q[0] = a
-    out_q[1] = b
-    out_q[2] = c
-    out_q[3] = d
+    inverse_multiply(base_q, q, out_q)
 
 
 @inner

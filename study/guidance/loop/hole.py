@@ -35,6 +35,9 @@ class DrilledHole:
         See `Status`.
     phase : (n,) array of int
         0 finds the line, 1 inserts, 2 stays, 3 comes back.
+    nis : (n,) array
+        Normalised innovation squared of the fused position, 3 on average when the noise that it is told is
+        right; -1 where no picture came.
     """
 
     entry: np.ndarray
@@ -49,6 +52,7 @@ class DrilledHole:
     seen_across: np.ndarray
     status: np.ndarray
     phase: np.ndarray
+    nis: np.ndarray
 
     @property
     def end(self) -> Status:

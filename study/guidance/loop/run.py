@@ -361,6 +361,7 @@ class HoleRun:
             seen_across=log[:, 7].copy(),
             status=log[:, 8].astype(int),
             phase=log[:, 9].astype(int),
+            nis=log[:, 10].copy(),
         )
 
 
