@@ -25,7 +25,8 @@ def pushed(fixture, control, steps, seed, radius):
     def outside():
         while True:
             x = vertices[rng.integers(len(vertices))] + rng.normal(size=3) * (radius + 0.3)
-            if fixture.distances(x[None])[0] > max(radius, 1e-3) + 1e-3:
+            free = fixture.distances(x[None])[0] > max(radius, 1e-3) + 1e-3
+            if free and not (fixture.closed and fixture.index.inside(x)):
                 return x
 
     x, log = outside(), []
@@ -234,6 +235,31 @@ def test_a_tool_that_starts_inside_is_stopped_and_never_pushed(desired):
     assert step.clearance == pytest.approx(-0.1)
     on = Controller([MeshFixture(plate(10))], SphereTool(0.0)).step([0.1, 0.2, 0], desired)
     assert on.status == "inside"
+
+
+@pytest.mark.parametrize("index", ["aabb", "pd"])
+@pytest.mark.parametrize("radius", [0.0, 0.5])
+def test_within_a_closed_surface_although_far_from_it(index, radius):
+    fixture = MeshFixture(flipped(rough()), index=index)
+    control = Controller([fixture], SphereTool(radius))
+    for x in ([0.3, 0.2, 0.1], [0, 0, 9.0], [0.3, 0.2, 0.1], [0.31, 0.2, 0.1]):  # the second is outside
+        step = control.step(x, [0.01, 0, 0])
+        left = fixture.distances(np.array([x]))[0]
+        if x[2] > 1:
+            assert step.status == "free"
+        else:
+            assert step.status == "inside"
+            assert step.motion.tolist() == [0, 0, 0]
+            assert step.clearance == pytest.approx(-left - max(radius, 1e-3))
+
+
+def test_a_tool_that_is_moved_by_others_is_measured_again():
+    control = Controller([MeshFixture(plate(10))], SphereTool(1.0))
+    assert control.step([0, 0, 1.1], [0, 0, -0.2]).status == "constrained"
+    assert control.step([0, 0, 0.995], [0, 0, 0.1]).status == "inside"
+    assert control.step([0, 0, 1.0], [0, 0, 0.1]).status == "free"
+    assert control.step([0, 0, 0.2], [0, 0, 0.1]).status == "inside"
+    assert control.step([0, 0, -1.5], [0, 0, -0.1]).status == "free"  # an open surface has two good sides
 
 
 def test_more_planes_than_there_is_room_for_stop(monkeypatch):

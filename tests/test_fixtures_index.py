@@ -109,12 +109,12 @@ def test_equal_centres_are_halved_too():
         assert len(TriangleIndex.of(mesh, kind).within([1, 1, 1], 1.5).faces) == 100
 
 
+@pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("turned", [0.0, 0.1, 1.0])
-def test_inside_whichever_way_triangles_face(turned):
+def test_inside_whichever_way_triangles_face(turned, kind):
     mesh = trimesh.creation.box((4, 6, 8)).subdivide().subdivide()
-    index = TriangleIndex.of(
-        checked_mesh(flipped((np.asarray(mesh.vertices), np.asarray(mesh.faces)), turned))
-    )
+    turned_mesh = checked_mesh(flipped((np.asarray(mesh.vertices), np.asarray(mesh.faces)), turned))
+    index = TriangleIndex.of(turned_mesh, kind)
     points = np.random.default_rng(0).uniform(-5, 5, (200, 3))
     expected = (np.abs(points) < [2, 3, 4]).all(axis=1)
     assert [index.inside(point) for point in points] == expected.tolist()
