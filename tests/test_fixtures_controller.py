@@ -171,7 +171,7 @@ def test_whichever_way_triangles_face():
 
 
 def test_both_trees_give_the_same_motion():
-    one, other = MeshFixture(rough()), MeshFixture(rough(), index="pd")
+    one, other = (MeshFixture(rough(), index=kind) for kind in ("aabb", "pd"))
     log = pushed(one, Controller([one], SphereTool(0.7)), 500, 3, 0.7)
     control = Controller([other], SphereTool(0.7))
     for x, desired, step in log:
