@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from real_data import real
 
 from study.errors import InputError
-from study.fixtures import Controller, MeshFixture, SphereTool
+from study.fixtures import Controller, MeshFixture, SphereTool, warm
 from study.fixtures.control import _kernels
 from study.fixtures.optimisation import nearest_motion
 from study.volumes import read_volume
@@ -284,6 +284,15 @@ def test_near_ones_are_never_left_out_for_want_of_room():
     assert a.status == "constrained"
 
 
+def test_nothing_is_compiled_in_the_loop_after_warming():
+    warm()
+    before = len(_kernels.step.signatures)
+    fixtures = [MeshFixture(plate(10)), MeshFixture(rough(), clearance_mm=0.5)]
+    Controller(fixtures[:1], SphereTool(0.0)).step([0, 0, 1], [0, 0, 1])
+    Controller(fixtures, SphereTool(1.0)).step([0, 0, 9], [0, 0, 1])
+    assert len(_kernels.step.signatures) == before
+
+
 def test_bad_input():
     fixture = MeshFixture(plate(4))
     for radius in (-1.0, np.nan, np.inf):
@@ -294,6 +303,8 @@ def test_bad_input():
     for length in (0.0, -1.0, np.nan, np.inf):
         with pytest.raises(InputError, match="max_step"):
             Controller([fixture], SphereTool(1.0), max_step=length)
+    with pytest.raises(InputError, match="far_mm"):
+        Controller([fixture], SphereTool(1.0), far_mm=-1.0)
     control = Controller([fixture], SphereTool(1.0))
     for position, desired in (([0, 0, np.nan], [0, 0, 0]), ([0, 0, 5], [np.inf, 0, 0])):
         with pytest.raises(InputError, match="finite"):
