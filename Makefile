@@ -44,7 +44,7 @@ $(MADE): pyproject.toml constraints.txt
 	@echo "Making the environment in $(VENV) (once, a few minutes)"
 	@"$(PYTHON)" -m venv --clear $(VENV)
 	@"$(BIN)/python" -m pip install -qq --disable-pip-version-check \
-	    --constraint constraints.txt --editable '.[notebooks,test]'
+	    --constraint constraints.txt --editable '.[notebooks,test,viewer]'
 	@echo "$(CURDIR)" > $@
 
 clean:
