@@ -265,7 +265,7 @@ def test_a_tool_that_is_moved_by_others_is_measured_again():
 def test_more_planes_than_there_is_room_for_stop(monkeypatch):
     fixture = MeshFixture(wall())
     control = Controller([fixture], SphereTool(1.0))
-    control._scratch = (np.empty((0, 4)), *control._scratch[1:])
+    control._steps._scratch = (np.empty((0, 4)), *control._steps._scratch[1:])
     step = control.step([0, 0, 1.05], [0, 0, -0.2])
     assert step.status == "unsettled"
     assert step.motion.tolist() == [0, 0, 0]
@@ -275,12 +275,12 @@ def test_near_ones_are_never_left_out_for_want_of_room():
     fixture = MeshFixture(rough())
     x, desired = np.array([0.0, 0, 9.0]), np.array([0, 0, -0.2])
     one, other = (Controller([fixture], SphereTool(2.0)) for _ in range(2))
-    other._near = np.empty(1, np.int64)
+    other._steps._near = np.empty(1, np.int64)
     for _ in range(30):
         a, b = one.step(x, desired), other.step(x, desired)
         np.testing.assert_allclose(a.motion, b.motion, atol=1e-9)
         x = x + a.motion
-    assert len(other._near) > 1
+    assert len(other._steps._near) > 1
     assert a.status == "constrained"
 
 
