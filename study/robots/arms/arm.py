@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from study.errors import InputError, ReachError
 from study.robots.arms.inverse import REGULAR, inverse
+from study.robots.arms.serial import Chain, SerialArm, angles
 from study.robots.arms.table import ArmData, arm_data, arm_table
 
 if TYPE_CHECKING:
@@ -18,14 +19,6 @@ if TYPE_CHECKING:
 
 #: Axes of the joints of the upright arm, base axes: shoulder, upper arm, elbow, forearm, wrist, flange.
 AXES = np.array([[0, 0, 1], [0, 1, 0], [0, 1, 0], [0, 0, 1], [0, 1, 0], [0, 0, 1]], dtype=float)
-
-
-class Chain(NamedTuple):
-    """Pinocchio, the arm as its model, and the memory that it works in."""
-
-    pin: object
-    model: object
-    data: object
 
 
 def _placed(data: ArmData) -> np.ndarray:
@@ -38,7 +31,7 @@ def _placed(data: ArmData) -> np.ndarray:
 
 
 @dataclass(frozen=True, eq=False)
-class SixAxisArm:
+class SixAxisArm(SerialArm):
     """An arm as drawn, or (`with_errors`) as built.
 
     Frames: *rob* is the arm's foot, z up along axis 1, x forward. *ee* lies where the axes of the wrist
@@ -77,37 +70,8 @@ class SixAxisArm:
             values.setflags(write=False)
             object.__setattr__(self, name, values)
 
-    def __getstate__(self) -> dict[str, object]:
-        """Without what is computed on demand: another process builds its own model."""
-        return {each.name: getattr(self, each.name) for each in fields(self)}
-
     def __repr__(self) -> str:
         return f"SixAxisArm({self.name}, {'as built' if self.is_built else 'as drawn'})"
-
-    @property
-    def name(self) -> str:
-        """Name of the arm."""
-        return self.data.name
-
-    @property
-    def limits(self) -> np.ndarray:
-        """(6, 2) smallest and largest joint angles, rad."""
-        return self.data.limits
-
-    @property
-    def speeds(self) -> np.ndarray:
-        """(6,) largest joint speeds, rad/s."""
-        return self.data.speeds
-
-    @property
-    def repeatability_mm(self) -> float:
-        """How well the arm comes back to a place, mm (printed); says nothing of where that place is."""
-        return self.data.repeatability
-
-    @property
-    def cycle_s(self) -> float:
-        """Time between two commands, s (printed)."""
-        return self.data.cycle
 
     @property
     def encoder_step_rad(self) -> float:
@@ -163,67 +127,6 @@ class SixAxisArm:
         """
         return replace(self, joint_bias=joint_bias, offsets=np.zeros((6, 6)) if offsets is None else offsets)
 
-    def forward(self, q: ArrayLike) -> np.ndarray:
-        """Where the end effector is.
-
-        Parameters
-        ----------
-        q : (6,) or (n, 6) array
-            Joint angles as the encoders tell them, rad; limits are not looked at.
-
-        Returns
-        -------
-        (4, 4) or (n, 4, 4) array
-            T_rob_ee, mm.
-
-        Raises
-        ------
-        InputError
-            If they are not six finite numbers each.
-        """
-        q = _angles(q, many=True)
-        chain = self.chain
-        if q.ndim == 2:
-            return np.array([self.forward(row) for row in q]).reshape(-1, 4, 4)
-        chain.pin.forwardKinematics(chain.model, chain.data, q)
-        return chain.data.oMi[6].homogeneous
-
-    def jacobian(self, q: ArrayLike) -> np.ndarray:
-        """How the end effector moves.
-
-        Parameters
-        ----------
-        q : (6,) array
-            rad.
-
-        Returns
-        -------
-        (6, 6) array
-            Velocity of the origin of *ee* (rows 0 to 2, mm) and rotation (rows 3 to 5, rad) in axes of
-            *rob*, per rad of each joint.
-
-        Raises
-        ------
-        InputError
-            If `q` is not six finite numbers.
-        """
-        return self.pose_and_jacobian(q)[1]
-
-    def pose_and_jacobian(self, q: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
-        """`forward` and `jacobian` at once: (4, 4) and (6, 6)."""
-        q = _angles(q)
-        pin, model, data = self.chain
-        pin.computeJointJacobians(model, data, q)
-        J = pin.getJointJacobian(model, data, 6, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
-        return data.oMi[6].homogeneous, J
-
-    def regularity(self, q: ArrayLike) -> float:
-        """Least singular value of the Jacobian, lengths over the arm's reach: 0 where the arm is singular.
-
-        The arm's joints turn up to 1 / regularity times as fast as *ee* moves (in reaches) or turns.
-        """
-        return float(np.linalg.svd(self._scaled(self.jacobian(q)), compute_uv=False)[-1])
-
     def inverse(self, T_rob_ee: ArrayLike, start: ArrayLike | None = None) -> np.ndarray:
         """Joint angles that take the end effector to a pose.
 
@@ -247,7 +150,7 @@ class SixAxisArm:
         InputError
             If the pose is not rigid or `start` not six finite numbers.
         """
-        return inverse(self, T_rob_ee, self.ready if start is None else _angles(start))
+        return inverse(self, T_rob_ee, self.ready if start is None else angles(start))
 
     def absolute_error(self, q: ArrayLike) -> float | np.ndarray:
         """How far the end effector is from where the control box believes it to be.
@@ -292,7 +195,7 @@ class SixAxisArm:
         """
         if not (np.isfinite(dt) and dt > 0):
             raise InputError(f"dt: expected a positive number of seconds, got {dt!r}")
-        before, after = self.encoders(_angles(q_before)), self.encoders(_angles(q_after))
+        before, after = self.encoders(angles(q_before)), self.encoders(angles(q_after))
         return self.nominal.jacobian(0.5 * (before + after)) @ ((after - before) / dt)
 
     @property
@@ -305,25 +208,13 @@ class SixAxisArm:
         """Pinocchio's model of the arm, lengths in mm, made when first asked for."""
         import pinocchio as pin  # a tenth of a second, for those who move an arm
 
-        model = pin.Model()
-        parent = 0
+        axes = AXES * self.data.senses[:, None]
+        placements = []
         for joint, placement in enumerate(_placed(self.data)):
-            axis = AXES[joint] * self.data.senses[joint]
-            turned = pin.SE3(pin.exp3(axis * self.joint_bias[joint]), np.zeros(3))
+            turned = pin.SE3(pin.exp3(axes[joint] * self.joint_bias[joint]), np.zeros(3))
             off = pin.exp6(pin.Motion(self.offsets[joint]))
-            parent = model.addJoint(
-                parent,
-                pin.JointModelRevoluteUnaligned(axis),
-                pin.SE3(placement) * off * turned,
-                str(joint + 1),
-            )
-        return Chain(pin, model, model.createData())
-
-    def _scaled(self, J: np.ndarray) -> np.ndarray:
-        """A Jacobian, or a six-vector, with its lengths over the arm's reach."""
-        scaled = J.copy()
-        scaled[:3] /= self.reach_mm
-        return scaled
+            placements.append(pin.SE3(placement) * off * turned)
+        return Chain.of(axes, placements)
 
 
 @cache
@@ -380,15 +271,3 @@ def differential_gain(nominal: SixAxisArm, built: SixAxisArm, q: ArrayLike) -> n
             f"{nominal.name}: near a singularity: regularity {regularity:.2g}, expected at least {REGULAR}"
         )
     return np.linalg.solve(nominal.jacobian(q).T, built.jacobian(q).T).T
-
-
-def _angles(q: ArrayLike, many: bool = False) -> np.ndarray:
-    """(6,), or also (n, 6), finite joint angles."""
-    q = np.asarray(q, dtype=float)
-    right = q.shape == (6,) or (many and q.ndim == 2 and q.shape[1] == 6)
-    if not right or not np.isfinite(q).all():
-        raise InputError(
-            f"joint angles: expected six finite numbers{' each' if many else ''} (rad), "
-            f"got {q.tolist() if q.size <= 12 else f'shape {q.shape}'}"
-        )
-    return q

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from itertools import product
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -19,6 +20,7 @@ from study.transforms import checked_transform, checked_transforms
 
 if TYPE_CHECKING:
     from study.robots.arms.arm import SixAxisArm
+    from study.robots.arms.serial import SerialArm
 
 #: Least singular value of a Jacobian (lengths over the arm's reach) at which a pose still counts as regular.
 REGULAR = 0.01
@@ -82,6 +84,47 @@ def inverse(arm: SixAxisArm, T_rob_ee: ArrayLike, start: np.ndarray) -> np.ndarr
     else:
         why = _out_of_reach(arm, T, nearest)
     raise ReachError(f"{arm.name}: {why}")
+
+
+def nearest_inverse(arm: SerialArm, T_rob_ee: ArrayLike, start: np.ndarray) -> np.ndarray:
+    """See `ChainArm.inverse`."""
+    T = checked_transform("T_rob_ee", T_rob_ee)
+    found, least, why = [], math.inf, []
+    for flips in product((1.0, -1.0), repeat=3):
+        q, rest = _descend(arm, T, _flipped(arm, T, start, *flips))
+        least = min(least, rest)
+        if rest > _REACHED:
+            continue
+        q = _unwound(arm, q, start)
+        beyond, regularity = _beyond(arm, q).max(), arm.regularity(q)
+        if beyond > _SLACK:
+            why.append(
+                f"joint {_beyond(arm, q).argmax() + 1} {np.rad2deg(beyond):.2f} degrees past its limit"
+            )
+        elif regularity < REGULAR:
+            why.append(f"near a singularity: regularity {regularity:.2g}, expected {REGULAR} at least")
+        else:
+            found.append(np.clip(q, arm.limits[:, 0], arm.limits[:, 1]))
+    if found:
+        return min(found, key=lambda q: np.abs(q - start).max())
+    raise ReachError(
+        f"{arm.name}: {why[0] if why else f'the nearest solution stays {least * arm.reach_mm:.3g} mm away'}"
+    )
+
+
+def _flipped(
+    arm: SerialArm, T: np.ndarray, start: np.ndarray, shoulder: float, elbow: float, wrist: float
+) -> np.ndarray:
+    """Joint angles to begin a search with: turned towards the pose, and as the signs say the other way."""
+    here = arm.forward(start)
+    q = start.copy()
+    if math.hypot(*here[:2, 3]) > _REACHED:
+        q[0] += math.remainder(math.atan2(T[1, 3], T[0, 3]) - math.atan2(here[1, 3], here[0, 3]), _TURN)
+    if shoulder < 0:  # reaching backward over itself; the upper arm is upright at -90 degrees
+        q[:2] += math.pi, 2.0 * (-0.5 * math.pi - q[1])
+    q[2] *= elbow
+    q[4] *= wrist
+    return q
 
 
 def follow(arm: SixAxisArm, T_rob_ee: ArrayLike, start: ArrayLike | None = None) -> np.ndarray:
@@ -159,7 +202,7 @@ def _shoulders(arm: SixAxisArm, T: np.ndarray) -> Iterator[tuple[float, float, f
     yield toward + math.pi, -away - arm.data.shoulder_offset, up
 
 
-def _descend(arm: SixAxisArm, T: np.ndarray, q: np.ndarray) -> tuple[np.ndarray, float]:
+def _descend(arm: SerialArm, T: np.ndarray, q: np.ndarray) -> tuple[np.ndarray, float]:
     """Joint angles nearer to the pose, and what is left: mm over the arm's reach and rad together.
 
     The damping is the distance squared (Levenberg and Marquardt with an early quadratic end).
@@ -180,7 +223,7 @@ def _descend(arm: SixAxisArm, T: np.ndarray, q: np.ndarray) -> tuple[np.ndarray,
     return best, least
 
 
-def _unwound(arm: SixAxisArm, q: np.ndarray, start: np.ndarray, slack: float = _SLACK) -> np.ndarray:
+def _unwound(arm: SerialArm, q: np.ndarray, start: np.ndarray, slack: float = _SLACK) -> np.ndarray:
     """The same posture with every joint as near to the start as whole turns within its limits bring it."""
     low, high = arm.limits.T
     near = q + _TURN * np.round((start - q) / _TURN)
@@ -190,7 +233,7 @@ def _unwound(arm: SixAxisArm, q: np.ndarray, start: np.ndarray, slack: float = _
     return np.where(_beyond(arm, turned) < _beyond(arm, near), turned, near)
 
 
-def _beyond(arm: SixAxisArm, q: np.ndarray) -> np.ndarray:
+def _beyond(arm: SerialArm, q: np.ndarray) -> np.ndarray:
     """(6,) rad past the joints' limits, negative within them."""
     return np.maximum(arm.limits[:, 0] - q, q - arm.limits[:, 1])
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -83,7 +84,17 @@ class ArmData:
 
 @cache
 def _table() -> pd.DataFrame:
-    path = data_path("robot_arms.csv")
+    return read_arms(data_path("robot_arms.csv"), _OF_ARM, _OF_JOINT)
+
+
+def read_arms(path: Path, of_arm: dict[str, str], of_joint: dict[str, str]) -> pd.DataFrame:
+    """A table of arms, checked: every quantity of an arm and of its six joints once, in its unit.
+
+    Raises
+    ------
+    FileFormatError
+        If a column, a line, a unit or a source is missing.
+    """
     table = pd.read_csv(path, dtype={"joint": "Int64"})
     if list(table.columns) != _COLUMNS:
         raise FileFormatError(f"{path}: expected columns {_COLUMNS}, got {list(table)}")
@@ -93,8 +104,8 @@ def _table() -> pd.DataFrame:
             f"{path}: expected a value, its unit, verified (yes or no) and a source in every line"
         )
     table["verified"] = table["verified"] == "yes"
-    wanted = [(quantity, 0, unit) for quantity, unit in _OF_ARM.items()]
-    wanted += [(quantity, joint, unit) for quantity, unit in _OF_JOINT.items() for joint in range(1, 7)]
+    wanted = [(quantity, 0, unit) for quantity, unit in of_arm.items()]
+    wanted += [(quantity, joint, unit) for quantity, unit in of_joint.items() for joint in range(1, 7)]
     for name, rows in table.groupby("arm", sort=False):
         got = zip(rows["quantity"], rows["joint"].fillna(0), rows["unit"], strict=True)
         if sorted(got) != sorted(wanted):
@@ -129,10 +140,22 @@ def arm_table(name: str) -> pd.DataFrame:
     FileFormatError
         If the table is not as it should be.
     """
-    table = _table()
-    if name not in arm_names():
-        raise InputError(f"arm: expected one of {', '.join(arm_names())}, got {name!r}")
+    return rows_of(_table(), name)
+
+
+def rows_of(table: pd.DataFrame, name: str) -> pd.DataFrame:
+    """The lines of one arm; `InputError` if there is none of that name."""
+    names = table["arm"].unique()
+    if name not in names:
+        raise InputError(f"arm: expected one of {', '.join(names)}, got {name!r}")
     return table[table["arm"] == name].drop(columns="arm").reset_index(drop=True)
+
+
+def numbers_of(table: pd.DataFrame) -> tuple[pd.Series, pd.DataFrame]:
+    """Values of one arm's `rows_of`: of the whole arm, and of its joints (1 to 6 by quantity)."""
+    whole = table[table["joint"].isna()].set_index("quantity")["value"]
+    joints = table[table["joint"].notna()].pivot_table(index="joint", columns="quantity", values="value")
+    return whole, joints
 
 
 @cache
@@ -149,19 +172,18 @@ def arm_data(name: str) -> ArmData:
     InputError, FileFormatError
         See `arm_table`.
     """
-    table = arm_table(name)
-    whole = table[table["joint"].isna()].set_index("quantity")["value"]
-    joints = table[table["joint"].notna()].pivot_table(index="joint", columns="quantity", values="value")
+    whole, joints = numbers_of(arm_table(name))
     return ArmData(
         name=name,
         **{quantity: float(whole[quantity]) for quantity in _OF_ARM},
-        limits=_constant(np.deg2rad(joints[["lower", "upper"]].to_numpy(float))),
-        speeds=_constant(np.deg2rad(joints["speed"].to_numpy(float))),
-        senses=_constant(joints["sense"].to_numpy(float)),
+        limits=constant(np.deg2rad(joints[["lower", "upper"]].to_numpy(float))),
+        speeds=constant(np.deg2rad(joints["speed"].to_numpy(float))),
+        senses=constant(joints["sense"].to_numpy(float)),
     )
 
 
-def _constant(values: np.ndarray) -> np.ndarray:
+def constant(values: np.ndarray) -> np.ndarray:
+    """The same numbers, not to be written to."""
     values = np.ascontiguousarray(values)
     values.setflags(write=False)
     return values
