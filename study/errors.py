@@ -66,6 +66,14 @@ class GuidanceError(StudyError, RuntimeError):
     """A guided robot that was asked for something its state does not allow."""
 
 
+class RetractionViolation(StudyError, RuntimeError):  # noqa: N818 - the violation is what the name says
+    """A retraction leaves the tube of the way in, or is faster than it may be."""
+
+
+class ViewerError(StudyError, RuntimeError):
+    """A live viewer cannot be served: its port is in use, or an optional package is missing."""
+
+
 class IncompletePlanWarning(UserWarning):
     """A plan leaves accessible target behind; the message says how much."""
 
