@@ -1,6 +1,7 @@
 """Meshes that are hard on a virtual fixture, and distances by other means."""
 
 import numpy as np
+import pyvista as pv
 import trimesh
 import vtk
 from vtk.util.numpy_support import numpy_to_vtk, numpy_to_vtkIdTypeArray
@@ -54,6 +55,26 @@ def flipped(mesh, part=0.1, seed=3):
     turned = np.random.default_rng(seed).random(len(faces)) < part
     faces[turned] = faces[turned][:, ::-1]
     return vertices, faces
+
+
+def decimated(mesh, part):
+    """The same surface with a part of its triangles taken away, by VTK: not everywhere manifold."""
+    vertices, faces = mesh
+    body = pv.PolyData(vertices, np.c_[np.full(len(faces), 3), faces].ravel()).decimate(part)
+    return np.asarray(body.points, dtype=np.float64), body.regular_faces
+
+
+def ball(radius=5.0, subdivisions=3):
+    """A ball of even triangles."""
+    mesh = trimesh.creation.icosphere(subdivisions, radius)
+    return np.asarray(mesh.vertices), np.asarray(mesh.faces)
+
+
+def together(*meshes):
+    """Several meshes as one."""
+    starts = np.cumsum([0, *(len(vertices) for vertices, _ in meshes)])
+    faces = [faces + start for (_, faces), start in zip(meshes, starts, strict=False)]
+    return np.concatenate([vertices for vertices, _ in meshes]), np.concatenate(faces)
 
 
 def fan(blades=5):
