@@ -119,6 +119,14 @@ def warm_guidance() -> None:
     HoleRun(set_up(system("hannover"), aluminium_block(), rng=0), hole=0, rng=0).run(until_s=0.1)
 
 
+@cache
+def warm_fixtures() -> None:
+    """Compile, or load, what virtual fixtures need, once a process."""
+    from study import fixtures
+
+    fixtures.warm()
+
+
 def warm() -> None:
     """Compile every kernel once.
 
@@ -129,6 +137,7 @@ def warm() -> None:
     warm_margins()
     warm_surface()
     warm_guidance()
+    warm_fixtures()
 
 
 def take_turns(turn: AbstractContextManager) -> None:
@@ -156,6 +165,7 @@ def _warm_the_other_half(turn: AbstractContextManager) -> None:
     take_turns(turn)
     warm_planning(degrees=DEGREES_OF_FREEDOM[1:])
     warm_guidance()
+    warm_fixtures()
 
 
 def warm_side_by_side() -> None:
