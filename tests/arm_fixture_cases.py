@@ -23,7 +23,7 @@ def holding(mesh, tool, T_mesh_tool, q=None, arm=UR5, clearance=0.0, slack=None,
 
 def tool_at(hold, q):
     """(4, 4) T_mesh_tool where the joints stand at q, from the arm's forward kinematics alone."""
-    return hold.T_mesh_rob @ hold.arm.forward(q) @ T_EE_TOOL
+    return hold.held.T_mesh_rob @ hold.arm.forward(q) @ T_EE_TOOL
 
 
 class CoalDistance:

@@ -127,7 +127,7 @@ def test_the_tool_never_enters(tool, name):
                 least = min(least, distance(tool_at(hold, q + part * step.turns)))
             q = q + step.turns
             met += step.step.planes > 0
-            free = free + np.linalg.pinv(hold._place(free).jacobian) @ wanted
+            free = free + np.linalg.pinv(hold.held.place(free).jacobian) @ wanted
             unguided = min(unguided, distance(tool_at(hold, free)))
         assert least >= 0.02
         assert met > 30
@@ -174,7 +174,7 @@ def test_at_a_singularity_damping_keeps_turns_small():
     q[4] = 1e-4
     hold, _ = holding(PLATE, SHAFT, FAR, q)
     weak, _ = holding(PLATE, SHAFT, FAR, q, damping=Damping(most=0.0))
-    J = hold._place(q).jacobian * np.repeat([1.0, SHAFT.lever], 3)[:, None]
+    J = hold.held.place(q).jacobian * np.repeat([1.0, SHAFT.lever], 3)[:, None]
     wanted = np.linalg.svd(J)[0][:, -1] * 0.1 / np.repeat([1.0, SHAFT.lever], 3)
     damped, plain = hold.step(q, wanted), weak.step(q, wanted)
     assert damped.singular_value < 0.01
@@ -342,3 +342,36 @@ def test_poses_are_those_of_the_controller():
     T, U = tool_at(hold, q + step.turns), rigid(Rotation.from_rotvec(pose[3:]), pose[:3])
     assert apart(T, U, SHAFT) == pytest.approx(step.deviation_mm, abs=1e-9)
     np.testing.assert_allclose(inverse(U) @ T, np.eye(4), atol=0.01)
+
+
+@both
+def test_a_tool_that_is_inside_is_led_out_on_command(tool):
+    hold, q = holding(PLATE, tool, rigid(translation=[0, 0, 0.5]))
+    assert hold.step(q, np.zeros(tool.freedoms)).step.status == "inside"
+    deepest = hold.control.step(hold.pose(q), np.zeros(tool.freedoms)).clearance
+    for _ in range(10):
+        step = hold.lead_out(q)
+        if step.step.status == "free":
+            break
+        assert step.step.status == "led out" and step.part == 1.0
+        assert (np.abs(step.turns) <= UR5.speeds * hold.cycle_s).all()
+        T, U = tool_at(hold, q), tool_at(hold, q + step.turns)
+        assert apart(U, planned(T, step.step.motion), tool) <= 1e-6
+        q = q + step.turns
+        assert step.step.clearance > deepest + 0.1 or step.step.clearance >= 0
+        deepest = step.step.clearance
+    assert step.step.status == "free" and not step.turns.any()
+    assert CoalDistance(PLATE, tool)(tool_at(hold, q)) >= 0.01
+    assert not hold.step(q, np.zeros(tool.freedoms)).stopped
+
+
+def test_an_arm_that_cannot_follow_the_way_out_stays():
+    """Slow joints make a part of the way; joints at their limits that bar it make none."""
+    slow, q = holding(PLATE, SHAFT, rigid(translation=[0, 0, 0.5]), cycle_s=1e-4)
+    step = slow.lead_out(q)
+    assert step.step.status == "led out" and step.part < 1.0
+    assert step.step.clearance == pytest.approx(-0.51 + step.step.motion[2], abs=1e-3)
+    stuck, q = holding(PLATE, SHAFT, rigid(translation=[0, 0, 0.5]), cycle_s=1e-9)
+    step = stuck.lead_out(q)
+    assert step.step.status == "infeasible" and step.stopped
+    assert not step.turns.any() and not step.step.motion.any() and step.part == 0.0
