@@ -137,9 +137,9 @@ def test_bad_stl_files(tmp_path):
             read_surface(tmp_path / "bad.stl")
     with pytest.raises(FileNotFoundError, match=r"none\.stl"):
         read_surface(tmp_path / "none.stl")
-    good.rename(tmp_path / "good.obj")
+    good.rename(tmp_path / "good.vtk")
     with pytest.raises(FileFormatError, match=r"\.stl"):
-        read_surface(tmp_path / "good.obj")
+        read_surface(tmp_path / "good.vtk")
     with pytest.raises(FileFormatError, match=r"\.stl"):
         write_surface(trimesh.creation.box(), tmp_path / "a.ply")
     with pytest.raises(InputError, match="mesh: expected"):

@@ -21,6 +21,12 @@ if TYPE_CHECKING:
 
 _HEADER = b"study label surface; SPACE=LPS; unit mm"
 _MOST_VOXELS = 2**31
+#: Kinds of files that `read_surface` knows, and what it says to their reader.
+SURFACE_KINDS = {
+    "stl": {},
+    "ply": {"fix_texture": False},
+    "obj": {"skip_materials": True, "maintain_order": True},
+}
 _FARTHEST = 1e6  # mm; merging equal corners works on integers and must not overflow
 _OFF_LEVEL = 1e-3
 # Voxels; decides about centres on the surface, above the tolerance of VTK's scan conversion (2^-17).
@@ -134,7 +140,7 @@ def write_surface(mesh: trimesh.Trimesh, path: str | os.PathLike[str]) -> None:
 
 
 def read_surface(path: str | os.PathLike[str]) -> trimesh.Trimesh:
-    """Read an STL file, binary or text.
+    """Read a surface from an STL, PLY or OBJ file, binary or text.
 
     Parameters
     ----------
@@ -144,26 +150,28 @@ def read_surface(path: str | os.PathLike[str]) -> trimesh.Trimesh:
     Returns
     -------
     trimesh.Trimesh
-        In LPS; equal corners of neighbouring triangles are one vertex.
+        In LPS; equal corners of neighbouring triangles are one vertex. Triangles that are squeezed to a line
+        are left out; how many is ``metadata["squeezed"]``.
 
     Raises
     ------
     FileNotFoundError
         If there is no such file.
     FileFormatError
-        If it is not an STL file, is truncated, has no triangle, or a coordinate is not finite or more
-        than a kilometre.
+        If it is not such a file, is truncated, has no triangle, or a coordinate is not finite or more than a
+        kilometre.
     """
     import trimesh
 
     path = existing_file(path)
-    if path.suffix.lower() != ".stl":
-        raise FileFormatError(f"{path}: expected a name that ends with .stl")
-    with parsing(path, "an STL file"):
-        mesh = trimesh.load_mesh(path, file_type="stl", process=False)
+    kind = path.suffix.lower().removeprefix(".")
+    if kind not in SURFACE_KINDS:
+        raise FileFormatError(f"{path}: expected a name that ends with .stl, .ply or .obj")
+    with parsing(path, f"a file of a surface ({kind.upper()})"):
+        mesh = trimesh.load(path, file_type=kind, process=False, force="mesh", **SURFACE_KINDS[kind])
         vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
-    if len(faces) == 0:
-        raise FileFormatError(f"{path}: expected an STL file with triangles, got none")
+    if faces.ndim != 2 or len(faces) == 0:
+        raise FileFormatError(f"{path}: expected a file with triangles, got none")
     if not (np.abs(vertices) < _FARTHEST).all():
         worst = vertices[~(np.abs(vertices) < _FARTHEST)][0]
         raise FileFormatError(f"{path}: expected coordinates within {_FARTHEST:g} mm, got {worst}")
@@ -175,7 +183,9 @@ def read_surface(path: str | os.PathLike[str]) -> trimesh.Trimesh:
     mesh.merge_vertices()
     # Triangles that single precision has squeezed to a line carry no surface, but break up edges.
     corners = np.sort(mesh.faces, axis=1)
-    mesh.update_faces((corners[:, 1:] != corners[:, :-1]).all(axis=1))
+    whole = (corners[:, 1:] != corners[:, :-1]).all(axis=1)
+    mesh.update_faces(whole)
+    mesh.metadata["squeezed"] = int(np.count_nonzero(~whole))
     return mesh
 
 
