@@ -1,92 +1,36 @@
 """Meshes that are hard on a virtual fixture, and distances by other means."""
 
 import numpy as np
-import pyvista as pv
-import trimesh
 import vtk
 from vtk.util.numpy_support import numpy_to_vtk, numpy_to_vtkIdTypeArray
 
+from study.experiments.fixture_meshes import (
+    ball,
+    decimated,
+    fan,
+    flipped,
+    plate,
+    rough,
+    spikes,
+    together,
+    wall,
+)
 
-def plate(count=40, size=12.0, seed=0):
-    """A flat plate at z = 0 of unevenly shaped triangles."""
-    line = np.linspace(-size / 2, size / 2, count)
-    x, y = np.meshgrid(line, line, indexing="ij")
-    vertices = np.c_[x.ravel(), y.ravel(), np.zeros(x.size)]
-    jitter = np.random.default_rng(seed).uniform(-0.3, 0.3, (len(vertices), 2)) * (line[1] - line[0])
-    vertices[:, :2] += jitter
-    i = np.arange(count * count).reshape(count, count)
-    a, b, c, d = i[:-1, :-1].ravel(), i[1:, :-1].ravel(), i[1:, 1:].ravel(), i[:-1, 1:].ravel()
-    return vertices, np.r_[np.c_[a, b, c], np.c_[a, c, d]]
-
-
-def wall(thickness=0.02):
-    """A wall thinner than a step."""
-    mesh = trimesh.creation.box((8.0, 8.0, thickness))
-    for _ in range(4):
-        mesh = mesh.subdivide()
-    return np.asarray(mesh.vertices), np.asarray(mesh.faces)
-
-
-def spikes(count=150, seed=1):
-    """Needles 3 mm long and 20 micrometres wide at their foot, touching nothing."""
-    rng = np.random.default_rng(seed)
-    foot = rng.uniform(-4, 4, (count, 3)) * [1, 1, 0.3]
-    along = rng.normal(size=(count, 3))
-    along /= np.linalg.norm(along, axis=1, keepdims=True)
-    across = np.cross(along, rng.normal(size=(count, 3)))
-    across /= np.linalg.norm(across, axis=1, keepdims=True)
-    corners = np.stack([foot + 0.01 * across, foot - 0.01 * across, foot + 3 * along], axis=1)
-    return corners.reshape(-1, 3), np.arange(3 * count).reshape(-1, 3)
-
-
-def rough(seed=2, subdivisions=4):
-    """A ball with dents and bumps, of about a triangle for each tenth of a square millimetre."""
-    mesh = trimesh.creation.icosphere(subdivisions, 5.0)
-    vertices = np.asarray(mesh.vertices)
-    waves = np.random.default_rng(seed).normal(size=(6, 3))
-    bumps = sum(np.sin(2.5 * vertices @ wave / np.linalg.norm(wave)) for wave in waves)
-    return vertices * (1 + 0.06 * bumps[:, None]), np.asarray(mesh.faces)
-
-
-def flipped(mesh, part=0.1, seed=3):
-    """The same triangles, some of them the wrong way round."""
-    vertices, faces = mesh
-    faces = faces.copy()
-    turned = np.random.default_rng(seed).random(len(faces)) < part
-    faces[turned] = faces[turned][:, ::-1]
-    return vertices, faces
-
-
-def decimated(mesh, part):
-    """The same surface with a part of its triangles taken away, by VTK: not everywhere manifold."""
-    vertices, faces = mesh
-    body = pv.PolyData(vertices, np.c_[np.full(len(faces), 3), faces].ravel()).decimate(part)
-    return np.asarray(body.points, dtype=np.float64), body.regular_faces
-
-
-def ball(radius=5.0, subdivisions=3):
-    """A ball of even triangles."""
-    mesh = trimesh.creation.icosphere(subdivisions, radius)
-    return np.asarray(mesh.vertices), np.asarray(mesh.faces)
-
-
-def together(*meshes):
-    """Several meshes as one."""
-    starts = np.cumsum([0, *(len(vertices) for vertices, _ in meshes)])
-    faces = [faces + start for (_, faces), start in zip(meshes, starts, strict=False)]
-    return np.concatenate([vertices for vertices, _ in meshes]), np.concatenate(faces)
-
-
-def fan(blades=5):
-    """Sheets that all meet at one edge, which is not manifold."""
-    angles = np.linspace(0, 2 * np.pi, blades, endpoint=False)
-    outer = np.c_[4 * np.cos(angles), 4 * np.sin(angles)]
-    vertices = [[0.0, 0, -3], [0, 0, 3]]
-    faces = []
-    for k, (x, y) in enumerate(outer):
-        vertices += [[x, y, -3], [x, y, 3]]
-        faces += [[0, 1, 2 + 2 * k], [1, 3 + 2 * k, 2 + 2 * k]]
-    return np.array(vertices), np.array(faces)
+__all__ = [
+    "HARD",
+    "VtkDistance",
+    "ball",
+    "closest_points",
+    "decimated",
+    "fan",
+    "flipped",
+    "plate",
+    "rough",
+    "spikes",
+    "together",
+    "wall",
+    "winding_number",
+]
 
 
 HARD = {
@@ -120,6 +64,15 @@ def closest_points(corners, point):
     choices = np.stack(choices)
     best = ((choices - point) ** 2).sum(2).argmin(0)
     return choices[best, np.arange(len(corners))]
+
+
+def winding_number(mesh, x):
+    """How often a surface goes round a point: 1 inside, 0 outside; by the solid angles of its triangles."""
+    a, b, c = np.moveaxis(mesh[0][mesh[1]] - x, 1, 0)
+    la, lb, lc = (np.linalg.norm(side, axis=1) for side in (a, b, c))
+    over = (a * np.cross(b, c)).sum(1)
+    under = la * lb * lc + (a * b).sum(1) * lc + (b * c).sum(1) * la + (c * a).sum(1) * lb
+    return np.arctan2(over, under).sum() / (2 * np.pi)
 
 
 class VtkDistance:
