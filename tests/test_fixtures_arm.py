@@ -246,6 +246,7 @@ def test_a_motion_that_is_too_curved_is_shortened_where_that_matters():
     step = near.step(q, wanted)
     assert 0.0 < step.part < 1.0 and not step.stopped
     assert 1e-4 < step.bow_mm <= 2e-4 + max(0, step.step.clearance)  # no shorter than need be
+    assert step.rounds <= 3
     assert np.linalg.norm(step.step.motion[3:]) <= 1.01 * step.part * 0.02
 
 
