@@ -11,6 +11,7 @@ import pyvista as pv
 from study.experiments.fixture_algorithm import METHODS, all_planes, planned_motion
 from study.fixtures import Controller, MeshFixture, SphereTool
 from study.specimens import specimen
+from study.tables import Claim
 from study.volumes import LabelVolume, surface
 
 #: What counts as having entered, mm.
@@ -101,7 +102,7 @@ def surfaces(seed: int = 0) -> list[Surface]:
 
 
 def _block(volume: LabelVolume) -> LabelVolume:
-    """The middle half of a volume on each axis: an eighth of its surface is enough here."""
+    """The middle half of a volume on each axis: so much of its surface is enough here."""
     quarter = np.array(volume.labels.shape) // 4
     x, y, z = (slice(a, -a) for a in quarter)
     affine = volume.affine.copy()
@@ -231,3 +232,56 @@ def comparison(
                 }
             )
     return pd.DataFrame(rows)
+
+
+def pushing_claims(table: pd.DataFrame) -> list[Claim]:
+    """What the text says of planes on meshes, and what is said here of both methods, by a `comparison`."""
+    rows = table.set_index(["surface", "method"])
+    smooth = [name for name in dict.fromkeys(table["surface"]) if name.startswith("smooth")]
+    others = [name for name in dict.fromkeys(table["surface"]) if name not in smooth]
+
+    def entered(names: list[str], method: str) -> float:
+        return max(rows.loc[(name, method), "entered_pct"] for name in names)
+
+    def stuck(names: list[str], method: str) -> float:
+        return max(rows.loc[(name, method), "stuck_pct"] for name in names)
+
+    unguided = min(rows.loc[(name, "none"), "entered_pct"] for name in smooth + others)
+    concave, convex = smooth
+    naive, ours = (rows.loc[(convex, method), "progress_ratio"] for method in ("all planes", "exact"))
+    bowl, free = (rows.loc[(concave, method), "progress_ratio"] for method in ("all planes", "exact"))
+    said = [
+        ("without constraints most pushes enter", unguided > 50, f"at least {unguided:.0f} %"),
+        (
+            "on a concave surface all planes at once are safe and bar little",
+            entered([concave], "all planes") == 0 and bowl > 0.95 * free,
+            f"{entered([concave], 'all planes'):.0f} % entered, {bowl:.3f} of the way, exact {free:.3f}",
+        ),
+        (
+            "on a convex surface all planes at once bar ways that are free",
+            naive < ours,
+            f"{naive:.3f} of the way asked for, exact {ours:.3f}",
+        ),
+        (
+            "Algorithm 1 keeps the tip out of smooth surfaces",
+            entered(smooth, "published") == 0,
+            f"{entered(smooth, 'published'):.1f} % entered",
+        ),
+        (
+            "Algorithm 1 keeps it out of all of these surfaces",
+            entered(smooth + others, "published") == 0,
+            f"up to {entered(smooth + others, 'published'):.1f} % entered",
+        ),
+        (
+            "Algorithm 1 always leaves a motion",
+            stuck(smooth + others, "published") == 0,
+            f"up to {stuck(smooth + others, 'published'):.1f} % stuck",
+        ),
+        (
+            "the exact method keeps it out of all of these surfaces and always leaves a motion",
+            entered(smooth + others, "exact") == 0 and stuck(smooth + others, "exact") == 0,
+            f"{entered(smooth + others, 'exact'):.1f} % entered, "
+            f"{stuck(smooth + others, 'exact'):.1f} % stuck",
+        ),
+    ]
+    return [Claim(text, bool(holds), evidence, "measured") for text, holds, evidence in said]

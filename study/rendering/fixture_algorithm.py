@@ -68,7 +68,7 @@ def planes_scene(cycle: Cycle, method: str, view: View) -> Scene:
 
 
 @styled()
-def cycles_figure(cycles: Sequence[Cycle], pixels: int = 900) -> Figure:
+def cycles_figure(cycles: Sequence[Cycle], pixels: int = 720) -> Figure:
     """Cycles in space, a row each: Algorithm 1 on the left, the exact method on the right.
 
     Parameters
