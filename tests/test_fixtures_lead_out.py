@@ -266,6 +266,27 @@ def test_a_pierced_sheet_lets_the_tip_back_only_if_it_is_no_thicker():
     assert last.status == "infeasible" and -2 < poses[-1][2] < -0.3
 
 
+def test_shaft_from_anywhere_comes_to_an_end_and_no_deeper():
+    """Backwards a shaft's depth is known to half of its spheres' distance, from start to end."""
+    fixture = MeshFixture(rough())
+    out = LeadOut([fixture], SHAFT, 0.25)
+    half = 0.5 * np.linalg.norm(covering_spheres(SHAFT)[2, :3] - covering_spheres(SHAFT)[1, :3])
+    rng, ended = np.random.default_rng(5), []
+    for _ in range(6):
+        x = rng.normal(size=3)
+        pose = np.r_[4.6 * x / np.linalg.norm(x), rng.normal(size=3)]
+        before = out.depth(pose)
+        for _ in range(300):
+            step = out.step(pose)
+            if step.status != "led out":
+                break
+            pose = moved(pose, step.motion)
+            assert out.depth(pose).max() <= max(before.max(), 0.0) + half + 1e-4
+        ended.append(step.status)
+        assert out.step(pose).status == step.status  # asked again it does not begin anew
+    assert set(ended) <= {"free", "infeasible"} and "free" in ended
+
+
 def test_spheres_cover_the_tool():
     rng = np.random.default_rng(0)
     for tool in (SHAFT, ShaftTool.from_drill()):

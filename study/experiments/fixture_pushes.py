@@ -226,7 +226,7 @@ def comparison(
                     "method": method,
                     "pushes": len(pushes),
                     "entered_pct": 100 * float(np.mean([p.least < -ENTERED_MM for p in pushes])),
-                    "deepest_mm": max(0.0, -min(p.least for p in pushes)),
+                    "deepest_mm": round(max(0.0, -min(p.least for p in pushes)), 9),
                     "stuck_pct": 100 * float(np.mean([p.infeasible > 0 for p in pushes])),
                     "progress_ratio": sum(p.given for p in pushes) / sum(p.wanted for p in pushes),
                 }
