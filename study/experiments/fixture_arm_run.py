@@ -48,7 +48,8 @@ def arm_run(control: ArmController, hand: Hand, seconds: float) -> tuple[pd.Data
     -------
     log : pandas.DataFrame
         One row a cycle: ``time_s``, ``joint_1_deg`` ... before it, ``status``, ``clearance_mm``,
-        ``singular_value``, ``damping``, ``fastest_pct`` (of a joint, in its greatest speed), ``deviation_mm``.
+        ``singular_value``, ``damping``, ``fastest_pct`` (of a joint, of its greatest speed),
+        ``deviation_mm``.
     poses : (n + 1, 3) or (n + 1, 6) array
         mm and rad.
     """

@@ -1,8 +1,9 @@
-"""A temporal bone as virtual fixtures, a hand that reaches for every structure, and what a tool kept from them."""
+"""A temporal bone as virtual fixtures, a hand that reaches for every structure, and what a tool kept."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from functools import lru_cache
 
 import numpy as np
 import pandas as pd
@@ -10,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from study.fixtures import MeshFixture, ShaftTool, Slack, moved
 from study.fixtures.hands import Hand
-from study.fixtures.mesh import checked_mesh
+from study.fixtures.mesh import FixtureMesh, checked_mesh
 from study.fixtures.simulation import Run
 from study.specimens import Specimen
 from study.specimens.structures import labels_of
@@ -44,11 +45,16 @@ def guards(anatomy: LabelVolume, clearances: Mapping[str, float] | None = None) 
     ]
 
 
-def cavity(bone: Specimen, slack: Slack | None = None) -> MeshFixture:
-    """What is left of a bone whose target has been milled: all that is neither air nor target."""
+@lru_cache(maxsize=2)
+def _cavity_mesh(bone: Specimen) -> FixtureMesh:
     solid = ~(bone.planning.mask("air") | bone.planning.mask("target"))
     volume = bone.planning.with_labels(solid.astype(np.uint8), {"air": 0, "bone": 1})
-    return MeshFixture(checked_mesh(surface(volume, "bone", smooth_mm=_SMOOTH_MM), "bone"), slack=slack)
+    return checked_mesh(surface(volume, "bone", smooth_mm=_SMOOTH_MM), "bone")
+
+
+def cavity(bone: Specimen, slack: Slack | None = None) -> MeshFixture:
+    """What is left of a bone whose target has been milled: all that is neither air nor target."""
+    return MeshFixture(_cavity_mesh(bone), slack=slack)
 
 
 def middle(bone: Specimen, deep: float = 0.5) -> np.ndarray:

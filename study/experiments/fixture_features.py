@@ -120,7 +120,7 @@ def tips_in_groove(
     wanted = np.column_stack([across, np.zeros(cycles), np.full(cycles, -1.0)])
     ways, rows = {}, []
     for radius in radii:
-        start = np.array([-5.0, 0.0, 9.5])
+        start = np.array([0.0, 0.0, 9.5])
         control = Controller([fixture], SphereTool(radius))
         lead = np.linspace(start, wanted[0], 80)
         ways[radius] = way = follow(control, start, np.concatenate([lead, wanted]))

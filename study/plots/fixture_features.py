@@ -40,7 +40,7 @@ def tips_figure(ways: Mapping[float, Way], wanted: np.ndarray, walls: MeshFixtur
     axes.plot(wanted[:, 0], wanted[:, 2], "--", color="#2b2f36", lw=1.3, label="the hand")
     for colour, (radius, way) in zip(_LINES, ways.items(), strict=False):
         axes.plot(
-            way.poses[:, 0], way.poses[:, 2], color=colour, lw=1.8, label=f"centre of a {radius:g} mm tip"
+            way.poses[:, 0], way.poses[:, 2], color=colour, lw=1.8, label=f"a {radius:g} mm tip's centre"
         )
         lowest = way.poses[np.argmin(way.poses[:, 2])]
         axes.add_patch(Circle(lowest[[0, 2]], max(radius, 0.07), fill=radius == 0, color=colour, lw=1.2))
@@ -148,16 +148,19 @@ def arm_figure(operation: pd.DataFrame, stretched: pd.DataFrame) -> Figure:
         joints.plot(operation["time_s"], angle - angle.iloc[0], lw=1.5, label=f"joint {i + 1}")
     joints.set(xlabel="time, s", ylabel="turned from the ready posture, °", title="(a) over the bone")
     joints.legend(ncols=3, fontsize=8)
-    damping.plot(
-        stretched["time_s"], stretched["singular_value"], color=_LINES[0], label="least singular value"
+    first = stretched["singular_value"].iloc[0]
+    for colour, (label, values) in zip(
+        (_LINES[0], _LINES[1], "#8d8d8d"),
+        {
+            "least singular value, of the first": stretched["singular_value"] / first,
+            "damping": stretched["damping"],
+            "fastest joint, of its limit": stretched["fastest_pct"] / 100,
+        }.items(),
+        strict=True,
+    ):
+        damping.plot(stretched["time_s"], values, color=colour, label=label)
+    damping.set(
+        xlabel="time, s", ylabel="ratio, no unit", ylim=(0, 1.05), title="(b) pulled away from its foot"
     )
-    damping.plot(stretched["time_s"], stretched["damping"], color=_LINES[1], label="damping")
-    damping.plot(
-        stretched["time_s"],
-        stretched["fastest_pct"] / 100,
-        color="#8d8d8d",
-        label="fastest joint, of its limit",
-    )
-    damping.set(xlabel="time, s", ylabel="ratio", ylim=(0, 1.05), title="(b) pulled away from its foot")
     damping.legend(fontsize=8)
     return figure
