@@ -180,26 +180,25 @@ def stepping(
     fixture: MeshFixture, tool: SphereTool | ShaftTool, count: int, what: str, aim: str, **hand: float
 ) -> None:
     """Percentiles of the time of a step, the least of three for each, in courses that push on the surface."""
-    control = Controller([fixture], tool)
-    courses = pushes(fixture, control, count, **hand)
-    times, wall, touched = [], [], 0
+    courses = pushes(fixture, Controller([fixture], tool), count, **hand)
+    best = [np.full(len(course), np.inf) for course in courses]
+    wall, touched = [], 0
     before = resource.getrusage(resource.RUSAGE_SELF)
     gc.disable()
-    for course in courses:
-        best = np.full(len(course), np.inf)
-        for _ in range(3):
+    for _ in range(3):
+        control = Controller([fixture], tool)  # a new one, which remembers nothing of the round before
+        for course, least in zip(courses, best, strict=True):
             control.step(course[0][0], 0 * course[0][1])  # where the course begins is found out here
             for k, (pose, desired) in enumerate(course):
                 begun, ran = time.perf_counter_ns(), time.thread_time_ns()
                 step = control.step(pose, desired)
                 ran, begun = time.thread_time_ns() - ran, time.perf_counter_ns() - begun
-                best[k] = min(best[k], ran)
+                least[k] = min(least[k], ran)
                 wall.append(begun - ran)
                 touched += step.status == "constrained"
-        times.extend(best)
     gc.enable()
     switches = resource.getrusage(resource.RUSAGE_SELF).ru_nivcsw - before.ru_nivcsw
-    middle, tail, far = np.percentile(times, [50, 99, 99.9]) / 1e3
+    middle, tail, far = np.percentile(np.concatenate(best), [50, 99, 99.9]) / 1e3
     row(what, f"p50 {middle:.0f}, p99 {tail:.0f}, p99.9 {far:.0f} us", aim)
     row(
         f"  {100 * touched / len(wall):.0f} % constrained; beside computing",

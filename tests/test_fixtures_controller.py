@@ -195,6 +195,22 @@ def test_a_slot_as_wide_as_the_tool():
     assert step.motion[0] == pytest.approx(0.1, abs=1e-9)
 
 
+def test_planes_that_are_kept_hold_of_all_triangles_and_change_nothing():
+    fixture = MeshFixture(rough())
+    control = Controller([fixture], SphereTool(0.7))
+    log = pushed(fixture, control, 600, 3, 0.7)
+    planes, index = control._steps._planes, fixture.index
+    known = np.flatnonzero(np.isfinite(planes[:, 3]) & (np.linalg.norm(planes[:, :3], axis=1) > 0))
+    assert len(known) > 50
+    for leaf in known:
+        corners = index.triangles[index.ends[leaf] : index.ends[leaf + 1]].reshape(-1, 3)
+        assert (corners @ planes[leaf, :3] <= planes[leaf, 3] + 1e-12).all()
+    for x, desired, step in log[::4]:
+        fresh = Controller([fixture], SphereTool(0.7)).step(x, desired)
+        np.testing.assert_allclose(fresh.motion, step.motion, atol=1e-6)
+        assert fresh.clearance == pytest.approx(step.clearance, abs=1e-6)
+
+
 def test_clearance_is_exact():
     fixture = MeshFixture(rough())
     log = pushed(fixture, Controller([fixture], SphereTool(0.5), far_mm=3.0), 300, 9, 0.5)
