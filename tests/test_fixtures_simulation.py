@@ -63,7 +63,7 @@ def test_scripted_hand_arrives_turned_and_on_time():
     assert hand.seconds == pytest.approx(1.5 + 0.25 + max(np.sqrt(5) / 2, turn / 0.2) + 0.25)
     np.testing.assert_allclose(hand.goal(0.75), [1.5, 0, 0, 0, 0, 0], atol=1e-12)
     far = MeshFixture(plate(3))
-    shifted = ScriptedHand(hand.waypoints + [0, 0, 50, 0, 0, 0], speed_mm_s=2.0, hold_s=0.25)
+    shifted = ScriptedHand(np.add(hand.waypoints, [0, 0, 50, 0, 0, 0]), speed_mm_s=2.0, hold_s=0.25)
     run = simulate(Controller([far], ShaftTool(1.0, 0.5, 30.0)), shifted, [0, 0, 50, 0, 0, 0], hand.seconds)
     assert set(run.log["status"]) == {"free"}
     # The goal's own velocity is commanded too, so that the tool does not lag.
