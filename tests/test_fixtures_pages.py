@@ -8,6 +8,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from study.errors import InputError
+from study.experiments.fixture_arm_run import stretch_runs
 from study.experiments.fixture_bone import (
     cavity,
     guards,
@@ -183,6 +184,18 @@ def test_signed_distances_on_both_sides(bone, fixtures):
     )
     assert found[0] > 20
     assert found[1] < 0
+
+
+def test_an_arm_comes_to_rest_at_its_reach(fixtures):
+    control = Controller(fixtures[:1], SphereTool(RADIUS))
+    far = np.array([500.0, 500.0, 500.0])
+    logs, table = stretch_runs(control, far, np.zeros(3), [30.0], 3.5)
+    log, row = logs[30.0], table.iloc[0]
+    assert log["singular_value"].iloc[0] > 1 > 0.01 > row["least_singular_value"]
+    assert log["damping"].iloc[0] < 0.01 < 0.1 < row["greatest_damping"]
+    assert row["fastest_joint_pct"] <= 100 + 1e-6
+    assert row["fastest_in_the_end_pct"] < 5
+    assert np.ptp(log["joint_3_deg"].tail(100)) < 0.1
 
 
 # Pictures

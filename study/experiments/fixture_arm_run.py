@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import pandas as pd
 from scipy.spatial.transform import Rotation
@@ -41,8 +43,14 @@ def arm_holding(
     return ArmController(arm, control, T_mesh_rob, T_ee_tool)
 
 
-def arm_run(control: ArmController, hand: Hand, seconds: float) -> tuple[pd.DataFrame, np.ndarray]:
-    """Let a hand lead the arm.
+#: Joints of a UR5 whose elbow is nearly straight, degrees.
+NEARLY_STRETCHED = (0.0, -52.0, 33.0, -134.0, -90.0, 0.0)
+
+
+def arm_run(
+    control: ArmController, hand: Hand, seconds: float, joints_deg: Sequence[float] | None = None
+) -> tuple[pd.DataFrame, np.ndarray]:
+    """Let a hand lead the arm, from its ready posture or from given joints.
 
     Returns
     -------
@@ -54,7 +62,7 @@ def arm_run(control: ArmController, hand: Hand, seconds: float) -> tuple[pd.Data
         mm and rad.
     """
     arm, cycle_s = control.arm, control.cycle_s
-    q, rows = np.array(arm.ready, dtype=float), []
+    q, rows = np.array(arm.ready if joints_deg is None else np.deg2rad(joints_deg), dtype=float), []
     poses = [control.pose(q)]
     for k in range(round(seconds / cycle_s)):
         answer = control.step(q, np.asarray(hand.desired(k * cycle_s, poses[-1])) * cycle_s)
@@ -75,7 +83,7 @@ def arm_run(control: ArmController, hand: Hand, seconds: float) -> tuple[pd.Data
     return pd.DataFrame(rows), np.array(poses)
 
 
-def stretching_hand(control: ArmController, speed_mm_s: float = 60.0) -> Hand:
+def stretching_hand(control: ArmController, speed_mm_s: float = 30.0) -> Hand:
     """A hand that pulls the tool straight away from the arm's foot until the arm is stretched."""
     foot = control.held.T_mesh_rob[:3, 3]
 
@@ -87,3 +95,45 @@ def stretching_hand(control: ArmController, speed_mm_s: float = 60.0) -> Hand:
             return out
 
     return Pull()
+
+
+def stretch_runs(
+    control: Controller, start: np.ndarray, upright: np.ndarray, speeds: Sequence[float], seconds: float
+) -> tuple[dict[float, pd.DataFrame], pd.DataFrame]:
+    """Pull a nearly stretched arm away from its foot, at several speeds, far from any surface.
+
+    Parameters
+    ----------
+    control : Controller
+        Its fixtures and tool are taken; its longest motion is that of the speed.
+    start, upright : (3,) arrays
+        As `arm_holding`.
+    speeds : sequence of float
+        mm/s.
+    seconds : float
+
+    Returns
+    -------
+    logs : dict of float to pandas.DataFrame
+        As `arm_run`, one a speed.
+    table : pandas.DataFrame
+        One row a speed: the least singular value, the greatest damping, the fastest joint in its greatest
+        speed, in all and in the last quarter of the time.
+    """
+    logs, rows = {}, []
+    for speed in speeds:
+        loose = arm_holding(control, start, upright)
+        own = Controller(control.fixtures, control.tool, max_step=speed * loose.cycle_s)
+        arm = arm_holding(own, start, upright)
+        logs[speed], _ = arm_run(arm, stretching_hand(arm, speed), seconds, NEARLY_STRETCHED)
+        log = logs[speed]
+        rows.append(
+            {
+                "pull_mm_s": speed,
+                "least_singular_value": log["singular_value"].min(),
+                "greatest_damping": log["damping"].max(),
+                "fastest_joint_pct": log["fastest_pct"].max(),
+                "fastest_in_the_end_pct": log["fastest_pct"].tail(len(log) // 4).max(),
+            }
+        )
+    return logs, pd.DataFrame(rows)
