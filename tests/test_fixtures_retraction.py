@@ -21,7 +21,7 @@ from study.fixtures.simulation import simulate
 SHAFT = ShaftTool(1.0, 0.6, 40.0)
 
 
-def recorded(seed, freedoms, seconds=4.0, step=0.01):
+def recorded(seed, freedoms, seconds=2.5, step=0.01):
     """A random smooth way in, with tremor, at uneven times."""
     rng = np.random.default_rng(seed)
     times = np.cumsum(rng.uniform(0.3, 1.7, int(seconds / step)) * step)
@@ -67,7 +67,7 @@ def test_tube_of_a_sphere_is_the_distance_to_the_polyline():
 @given(
     seed=st.integers(0, 2**31), freedoms=st.sampled_from([3, 6]), tolerance=st.sampled_from([0.05, 0.2, 1.0])
 )
-@settings(deadline=None, max_examples=5)
+@settings(deadline=None, max_examples=4)
 def test_out_within_tube_and_limits(seed, freedoms, tolerance):
     tool = SphereTool(1.0) if freedoms == 3 else SHAFT
     insertion = Insertion.of(*recorded(seed, freedoms), tool)
