@@ -124,7 +124,7 @@ def test_showing_never_raises(viewer):
     for nonsense in (None, "here", [np.nan] * 3, np.zeros(5), object()):
         viewer.show(nonsense, "free")
         time.sleep(0.02)
-    viewer.show([1, 2, 3], None)
+    viewer.show([1, 2, 3], "geführt" + 70_000 * "x")
     with socket.create_connection(("127.0.0.1", viewer.port)) as client:
         client.settimeout(5)
         assert client.recv(106, socket.MSG_WAITALL)
