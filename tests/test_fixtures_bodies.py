@@ -45,7 +45,7 @@ def test_separation_of_a_segment_and_a_triangle(seed, thin, length):
 
 
 @given(seed=st.integers(0, 2**31), keep=st.floats(0.05, 1.0), turn=st.sampled_from([0.0, 0.3]))
-@settings(deadline=None, max_examples=40)
+@settings(deadline=None, max_examples=12)
 def test_impact_of_a_capsule(seed, keep, turn):
     rng = np.random.default_rng(seed)
     triangle = rng.normal(size=(3, 3))
