@@ -50,7 +50,7 @@ class VtkDistance:
         return np.array([self(point) for point in points])
 
     def inside(self, points: np.ndarray) -> np.ndarray:
-        """(q,) whether points (q, 3) are behind the nearest triangle of a closed mesh that is turned evenly."""
+        """(q,) whether points (q, 3) are behind the nearest triangle of a closed, evenly turned mesh."""
         if self._signed is None:
             self._signed = vtk.vtkImplicitPolyDataDistance()
             self._signed.SetInput(self.body)

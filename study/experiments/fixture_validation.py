@@ -366,70 +366,33 @@ def validation(
     return Validation(pd.DataFrame(rows), worst)
 
 
-def plate_progress(
-    presses: Sequence[float] = (0.0, 0.01, 0.1, 0.2),
-    counts: Sequence[int] = (4, 30, 100),
-    methods: Sequence[str] = METHODS,
-    cycles: int = 30,
-    courses: int = 4,
-    radius: float = 1.0,
-    along_mm: float = 0.1,
-    seed: int = 0,
-) -> pd.DataFrame:
-    """Slide a tip along a plate while pressing on it.
+def summary(rows: pd.DataFrame) -> pd.DataFrame:
+    """The whole page in a few lines: by method and by whether the tool has a radius.
 
     Parameters
     ----------
-    presses : sequence of float
-        mm a cycle, into the plate.
-    counts : sequence of int
-        Vertices along an edge of the plate, of 24 mm.
-    methods : sequence of str
-    cycles, courses : int
-        Cycles of a course, and courses in random directions from random places.
-    radius, along_mm : float
-        Of the tip, and asked for along the plate in a cycle, mm.
-    seed : int
+    rows : DataFrame
+        Of `Validation`.
 
     Returns
     -------
     pandas.DataFrame
-        Columns plate ("even", "10 % turned round"), vertices (along an edge), press_mm, method,
-        progress_ratio (length along the plate in the commanded direction, over what was asked for) and
-        worst_mm.
+        By method and tool: steps, the deepest and where it was, the cycles whose centre went through a
+        triangle, the share of places from which it entered, and of steps that stopped.
     """
-    rows = []
-    for kind in ("even", "10 % turned round"):
-        for count in counts:
-            mesh = meshes.plate(count, 24.0, seed)
-            if kind != "even":
-                mesh = meshes.flipped(mesh)
-            fixture = MeshFixture(mesh, "plate")
-            for press in presses:
-                for method in methods:
-                    rng = np.random.default_rng(seed)
-                    control = (
-                        None if method == "none" else Controller([fixture], SphereTool(radius), method=method)
-                    )
-                    given, lowest = 0.0, np.inf
-                    for _ in range(courses):
-                        angle = rng.uniform(0, 2 * np.pi)
-                        course = np.array([np.cos(angle), np.sin(angle), 0.0])
-                        x = np.r_[rng.uniform(-3, 3, 2), radius + ENTERED_MM]
-                        desired = along_mm * course - [0, 0, press]
-                        for _ in range(cycles):
-                            motion = desired if control is None else control.step(x, desired).motion
-                            x = x + motion
-                            given += motion @ course
-                            lowest = min(lowest, x[2])
-                    rows.append(
-                        {
-                            "plate": kind,
-                            "vertices": count,
-                            "press_mm": press,
-                            "method": method,
-                            "progress_ratio": given / (along_mm * cycles * courses),
-                            "worst_mm": max(0.0, radius - lowest),
-                        }
-                    )
-    return pd.DataFrame(rows)
+    out = []
+    for (method, tool), part in rows.groupby(["method", "tool"], sort=False):
+        deepest = part.loc[part["worst_mm"].idxmax()]
+        out.append(
+            {
+                "method": method,
+                "tool": tool,
+                "steps": int(part["steps"].sum()),
+                "worst_mm": deepest["worst_mm"],
+                "on": deepest["mesh"] if deepest["worst_mm"] > 0 else "",
+                "passed": int(part["passed"].sum()),
+                "entered_pct": float(np.average(part["entered_pct"], weights=part["steps"])),
+                "stopped_pct": float(np.average(part["stopped_pct"], weights=part["steps"])),
+            }
+        )
+    return pd.DataFrame(out)
