@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from study.errors import InputError
 from study.fixtures import Controller, MeshFixture, ShaftTool, Slack, SphereTool, moved
-from study.fixtures.lead_out import LeadOut, covering_spheres
+from study.fixtures.control.lead_out import LeadOut, covering_spheres
 
 TOUCHING = 1e-4
 
