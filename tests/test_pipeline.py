@@ -148,7 +148,7 @@ def test_stage_depends_on_all_it_reads_and_keeps_nothing_in_a_cache(name):
     assert given.each or copies == [f"figures/executed/{name}.ipynb"]
     for output, options in outputs(stage).items():
         assert options["cache"] is False
-        assert Path(output).suffix in {".csv", ".json", ".png", ".vtp", ".nrrd"}
+        assert Path(output).suffix in {".csv", ".json", ".png", ".gif", ".vtp", ".nrrd"}
 
 
 def test_dvc_understands_the_pipeline_without_git():
@@ -271,7 +271,7 @@ def test_two_processes_compile_together_what_one_would(monkeypatch):
             target(*args)
 
     done = []
-    once = ("warm_checks", "warm_margins", "warm_surface", "warm_guidance")
+    once = ("warm_checks", "warm_margins", "warm_surface", "warm_guidance", "warm_fixtures")
     for name in ("warm_planning", *once):
         monkeypatch.setattr(
             prepare,

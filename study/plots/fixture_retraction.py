@@ -36,7 +36,7 @@ def insertion_and_retraction(out: Retraction, stopped: Retraction | None = None)
         ax[0].set_title(title)
         ax[1].plot(at, np.linalg.norm(speeds[:, :3], axis=1), color="#4a4f57", lw=1)
         ax[2].plot(at, out.deviations(poses), color="#4a4f57", lw=1)
-        ax[2].set_xlabel("s")
+        ax[2].set_xlabel("time, s")
     if stopped is not None:
         for i, colour in enumerate(AXIS_COLOURS):
             axes[0, 1].plot(
