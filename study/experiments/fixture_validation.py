@@ -367,7 +367,7 @@ def validation(
 
 
 def summary(rows: pd.DataFrame) -> pd.DataFrame:
-    """The whole page in a few lines: by method and by whether the tool has a radius.
+    """The whole page in a few lines: by method and tool.
 
     Parameters
     ----------
